@@ -18,12 +18,13 @@ from hydra import compose, initialize_config_dir  # noqa: E402
 from framework.command.config.check import check  # noqa: E402
 from framework.command.config.naming import plain  # noqa: E402
 from framework.command.config.schema import CONF_DIR, register_config  # noqa: E402
-from framework.options import TrainerOptions, members_of  # noqa: E402
+from framework.options import TrainerOptions  # noqa: E402
 from framework.records.progress import Progress, Silent  # noqa: E402
 from framework.run import preparation  # noqa: E402
 from framework.run.experiment import file_fingerprints  # noqa: E402
 from framework.run.training import Run, initial, train  # noqa: E402
 from framework.run.warmup import Warmup  # noqa: E402
+from framework.train import schedule  # noqa: E402
 from framework.train.trainer import Evaluate, Plugins, Trained, Trainer  # noqa: E402
 from framework.types import DepthMap, Gaussians, Scene  # noqa: E402
 
@@ -42,7 +43,7 @@ class Prepared:
         """A new training from the same start, of which the caller sees every step."""
         options, seed = TrainerOptions(**self.config["trainer"]), int(self.config["seed"])
         n_views = len(self.scene.training.views)
-        members = members_of(options.members, options.steps, n_views)
+        members = schedule.shared(options, n_views).members
         if members > 1:
             raise SystemExit(f"expected trainer.members=1, got {members}: one is seen here")
         gaussians = initial(self.config, self.scene, self.depth, options, seed)

@@ -57,6 +57,7 @@ class TrainerOptions:
     near_plane: float = 0.05  # Gaussians nearer are not drawn; in units of the near bound
     evaluations: int = 6  # of the test views, evenly spaced, the last after the last step
     members: int = 0  # trainings from draws of their own, joined in the end; 0 = as many as pay
+    kept: int = 1  # members whose Gaussians are kept and taught by all; 0 = keep all, untaught
     tuning: float = 0.05  # share of the steps in which joined members are tuned on the photos
 
     def __post_init__(self) -> None:
@@ -88,6 +89,7 @@ class TrainerOptions:
         check("near_plane", 0 < self.near_plane <= 1, "a number in (0, 1]")
         check("evaluations", self.evaluations >= 1, "an integer >= 1")
         check("members", 0 <= self.members <= MOST_MEMBERS, f"0 to {MOST_MEMBERS}; 0 chooses")
+        check("kept", 0 <= self.kept <= MOST_MEMBERS, f"0 to {MOST_MEMBERS}; 0 keeps all")
         check("tuning", 0 <= self.tuning <= 1, "a share in [0, 1]")
 
 

@@ -49,7 +49,11 @@ TRAININGS: dict[str, list[str]] = {
         "trainer.pace_steps=0",
         "trainer.binocular_from=0",
     ],
-    "two members": ["augment=none", "reg=none", "trainer.members=2", "trainer.tuning=0.2"],
+    "two members": [
+        *("augment=none", "reg=none", "trainer.members=2", "trainer.tuning=0.2"),
+        "trainer.kept=0",
+    ],
+    "a student": ["augment=none", "reg=none", "trainer.members=2", "trainer.tuning=0.2"],
 }
 STEPS = 20
 

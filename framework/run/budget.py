@@ -19,7 +19,7 @@ from framework.errors import UserError
 from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
 from framework.files.whole import write_whole
-from framework.options import MOST_STEPS, TrainerOptions, members_of
+from framework.options import MOST_STEPS, TrainerOptions
 from framework.train import schedule
 
 FILE = "budget.json"
@@ -46,6 +46,7 @@ class Choice:
     step_s: float
     steps: int
     members: int
+    kept: int
     coarse_until: float
 
     def applied(self, options: TrainerOptions) -> TrainerOptions:
@@ -56,6 +57,7 @@ class Choice:
             visits=0,
             steps=self.steps,
             members=self.members,
+            kept=self.kept,
             coarse_until=self.coarse_until,
         )
 
@@ -66,7 +68,8 @@ class Choice:
             "seconds": self.seconds,
             "step_s": self.step_s,
             "repeat": f"trainer.seconds=0 trainer.visits=0 trainer.steps={self.steps}"
-            f" trainer.members={self.members} trainer.coarse_until={self.coarse_until:g}",
+            f" trainer.members={self.members} trainer.kept={self.kept}"
+            f" trainer.coarse_until={self.coarse_until:g}",
         }
 
 
@@ -105,27 +108,28 @@ def chosen(
 def choose(
     identity: str, options: TrainerOptions, n_views: int, step_s: float, ratio: float = 1.0
 ) -> Choice:
-    """Steps of `step_s` seconds for `options.seconds`, shared by as many members as pay.
+    """Steps of `step_s` seconds for `options.seconds`, shared by as many trainings as pay.
 
     Args:
         ratio: how much longer a step with the second camera takes.
     """
 
+    def shared(total: int) -> TrainerOptions:
+        steps = max(1, total // max(1, options.members))
+        return schedule.shared(dataclasses.replace(options, steps=steps, visits=0), n_views)
+
     def fits(total: int) -> bool:
-        members = members_of(options.members, total, n_views)
-        steps = max(1, total // members)
-        one = schedule.paced(dataclasses.replace(options, steps=steps, members=members), n_views)
+        one = schedule.paced(shared(total), n_views)
         share = 1 - one.binocular_from if one.binocular > 0 else 0.0
-        tuned = options.tuning if members > 1 else 0.0  # of all members' Gaussians together
-        taken = step_s * total * (1 + (ratio - 1) * share) * (1 + tuned)
-        return taken <= options.seconds
+        tuned = one.tuning if one.members > 1 else 0.0  # of all members' Gaussians together
+        steps = one.steps * (one.members + schedule.taught(one))
+        return step_s * steps * (1 + (ratio - 1) * share) * (1 + tuned) <= options.seconds
 
     total = bisect(range(1, MOST_STEPS + 1), 0, key=lambda n: not fits(n))
     total = max(1, total)
-    members = members_of(options.members, total, n_views)
-    steps = max(1, total // members)
-    coarse = options.coarse_until if steps >= SHORT else max(options.coarse_until, 0.5)
-    return Choice(identity, options.seconds, step_s, steps, members, coarse)
+    one = shared(total)
+    coarse = one.coarse_until if one.steps >= SHORT else max(one.coarse_until, 0.5)
+    return Choice(identity, one.seconds, step_s, one.steps, one.members, one.kept, coarse)
 
 
 def _kept(file: Path, identity: str) -> Choice | None:

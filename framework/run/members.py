@@ -71,9 +71,8 @@ def tuning_options(options: TrainerOptions, steps: int) -> TrainerOptions:
     )
 
 
-def in_turn(rounds: Sequence[Sequence[Trained]], steps: int, gaussians: Gaussians) -> Trained:
-    """The parts of a run, of `steps` steps each but for the last, as one training with the result
-    `gaussians`.
+def in_turn(rounds: Sequence[Sequence[Trained]], gaussians: Gaussians) -> Trained:
+    """The parts of a run as one training with the result `gaussians`.
 
     Parts of one round were trained at the same time. Their rows follow each other all the same, as
     if each had had the whole machine for its share of the round's seconds. Of a run that was taken
@@ -93,7 +92,7 @@ def in_turn(rounds: Sequence[Sequence[Trained]], steps: int, gaussians: Gaussian
                 for row in part.history
             ]
             spent += part.wall_s
-            steps_before += steps
+            steps_before += part.history[-1].step
         before += took
     return replace(
         rounds[-1][-1],

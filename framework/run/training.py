@@ -25,11 +25,14 @@ from framework.files.whole import write_whole
 from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
+from framework.plugin import Augmenter
 from framework.records.progress import Part as PartProgress
 from framework.records.progress import Parts, Progress, Silent
 from framework.records.record import DIVERGED
+from framework.registry import ActivePlugin
 from framework.run import answers, budget
 from framework.run.members import IDLE, in_turn, join, member_seed, second_seed, tuning_options
+from framework.run.student import student_options, teacher
 from framework.train import schedule
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints, pack, remove_checkpoints
@@ -84,7 +87,8 @@ class Run:
 
 
 class Part:
-    """One of the trainings of a run: the run's own, a member, or the tuning of joined members.
+    """One of the trainings of a run: its only one, a member, the tuning of joined members, or the
+    student's.
 
     Attributes:
         name: of its checkpoints' folder.
@@ -106,7 +110,8 @@ class Part:
         self.warns, self.keeps_end = warns, keeps_end
         self.plugins = Plugins.of(choices)
         with plugin_call("capacity: shared"):
-            self.plugins = self.plugins.shared(options.members)
+            n_kept = options.kept if schedule.taught(options) else options.members
+            self.plugins = self.plugins.shared(n_kept)
         plugins = {key: one.plugin for key, one in self.plugins.each.items()}
         self.checkpoints = Checkpoints(run.folder, run.identity, plugins.values(), name)
         check = partial(check_state, training=run.scene.training, options=options, plugins=plugins)
@@ -114,7 +119,12 @@ class Part:
         self.done = 0 if self.kept is None else self.kept.step
 
     def train(
-        self, gaussians: Gaussians, progress: Progress, resumed: int, sh_from: int
+        self,
+        gaussians: Gaussians,
+        progress: Progress,
+        resumed: int,
+        sh_from: int,
+        augmenter: Augmenter | None = None,
     ) -> Trained:
         """Train, or continue from the newest checkpoint.
 
@@ -123,8 +133,11 @@ class Part:
             progress: shows the steps.
             resumed: how often the run was resumed.
             sh_from: SH degree that is active in the first step.
+            augmenter: replaces the part's own.
         """
-        run, checkpoints = self.run, self.checkpoints
+        run, checkpoints, plugins = self.run, self.checkpoints, self.plugins
+        if augmenter is not None:
+            plugins = Plugins({**plugins.each, "augment": ActivePlugin(augmenter)})
         checkpoints.begin(COPIES * BYTES_PER_FLOAT * sum(t.numel() for _, t in gaussians.items()))
         second = run.start(second_seed(self.seed)) if self.plugins.second_drawn else None
         trainer = Trainer(
@@ -132,7 +145,7 @@ class Part:
             run.depth,
             gaussians,
             self.options,
-            self.plugins,
+            plugins,
             self.seed,
             progress,
             evaluate=run.test_psnr(self.options),
@@ -165,8 +178,9 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
 
     With `trainer.members` > 1 several trainings run, each with its own draws, and their Gaussians
     are joined and tuned, so errors made by chance average out. The first equals a run with one
-    member. As many members train at the same time as there are threads, with one thread each,
-    unless there are two threads for each: then one after another with all threads.
+    member. With `trainer.kept` they then teach a student, which is the result. As many members
+    train at the same time as there are threads, with one thread each, unless there are two threads
+    for each: then one after another with all threads.
 
     Raises:
         Diverged: a training diverged; its state is in the run's folder.
@@ -183,8 +197,11 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
 
     starts = dict[int, Gaussians]()  # each is dropped when its training has copied it
 
-    def task(k: int, check: Callable[[], None], sh_from: int = 0) -> Trained:
-        return parts[k].train(starts.pop(k), PartProgress(whole, k, check), resumed, sh_from)
+    def task(
+        k: int, check: Callable[[], None], sh_from: int = 0, augmenter: Augmenter | None = None
+    ) -> Trained:
+        part = PartProgress(whole, k, check)
+        return parts[k].train(starts.pop(k), part, resumed, sh_from, augmenter)
 
     n, rounds = options.members, list[list[Trained]]()
     at_once = threads() if threads() < 2 * n else 1
@@ -196,16 +213,29 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
         rounds.append(run_together([partial(task, k) for k in members]))
     if n == 1:
         return rounds[0][0]
-    gaussians = join([member.gaussians for members in rounds for member in members])
+    separate = [member for members in rounds for member in members]
+    gaussians = join([member.gaussians for member in separate])
     # a member may have lost all its bands (capacity=evidence); the others keep theirs
-    degree = max(member.sh_degree for members in rounds for member in members)
+    degree = max(member.sh_degree for member in separate)
     if len(parts) == n:
-        joined = replace(in_turn(rounds, options.steps, gaussians), sh_degree=degree)
+        joined = replace(in_turn(rounds, gaussians), sh_degree=degree)
         return _evaluated(run, joined, options)
-    progress.stage("tuning of the members together")
-    starts[n] = gaussians
-    tuned = task(n, lambda: None, sh_from=degree)
-    return in_turn([*rounds, [tuned]], options.steps, tuned.gaussians)
+    if options.tuning > 0:
+        progress.stage("tuning of the members together")
+        starts[n] = gaussians
+        rounds.append([task(n, lambda: None, sh_from=degree)])
+        gaussians = rounds[-1][0].gaussians
+    if schedule.taught(options):
+        progress.stage("a student of the members")
+        near, background = run.near(options), separate[0].background
+        render = thinned(gaussians, background, degree, near, run.rasterizer)
+        taught_by = teacher(run.scene.training, render, parts[0].seed)
+        first_ones = [member.gaussians for member in separate[: options.kept]]
+        starts[len(parts) - 1] = join(first_ones)
+        student = task(len(parts) - 1, lambda: None, degree, taught_by)
+        # the teacher's renders are no pseudo views of the method
+        rounds.append([replace(student, dose={"steps": student.dose["steps"]})])
+    return in_turn(rounds, rounds[-1][0].gaussians)
 
 
 def within_seconds(
@@ -273,11 +303,17 @@ def _paced(run: Run, config: Mapping[str, Any], progress: Progress) -> TrainerOp
             f"{options.steps} steps instead of trainer.steps={values.steps}: trainer.visits="
             f"{options.visits} of each of {n_views} photos"
         )
+    if values.kept > TrainerOptions.kept and not schedule.taught(options):
+        LOG.warning(
+            f"trainer.kept={values.kept}: with {options.members} trainings there is none whose"
+            " Gaussians could be left out, so it has no effect; set trainer.members="
+            f"{values.kept + 1} or more"
+        )
     return options
 
 
 def _parts(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> list[Part]:
-    """The members of a run and, if there are several, their tuning."""
+    """The members of a run and, if there are several, their tuning and their student."""
     seed, n = int(config["seed"]), options.members
     if n == 1:
         return [Part(run, "", config, options, seed, warns=True)]
@@ -293,9 +329,12 @@ def _parts(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> list
         )
         for k in range(n)
     ]
+    taught = schedule.taught(options)
     if options.tuning > 0:
         tuned = tuning_options(options, max(1, round(options.tuning * options.steps)))
-        parts.append(Part(run, "tuning", IDLE, tuned, seed, warns=False))
+        parts.append(Part(run, "tuning", IDLE, tuned, seed, warns=False, keeps_end=taught))
+    if taught:
+        parts.append(Part(run, "student", IDLE, student_options(options), seed, warns=False))
     return parts
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from framework.plugin import StepContext
@@ -69,7 +70,6 @@ def unseen_camera(ctx: StepContext, rng: np.random.Generator, size_of: Camera) -
     import torch
 
     from framework import geometry
-    from framework.compute.portable import product
     from framework.types import Camera
 
     cameras = [view.camera for view in ctx.views]
@@ -79,6 +79,22 @@ def unseen_camera(ctx: StepContext, rng: np.random.Generator, size_of: Camera) -
         step = torch.from_numpy(0.1 * ctx.extent * np.clip(shift, -1, 1))
         camera = geometry.perturbed(first, torch.zeros(3, dtype=torch.float64), step)
         return Camera(camera.viewmat, size_of.K, size_of.width, size_of.height)
+    return camera_between(cameras, first, share, size_of)
+
+
+def camera_between(
+    cameras: Sequence[Camera], first: Camera, share: float, size_of: Camera
+) -> Camera:
+    """Return the camera at `share` of the way from `first` to the nearest other one.
+
+    Its orientation is interpolated too, its intrinsics are those of `size_of`.
+    """
+    import torch
+
+    from framework import geometry
+    from framework.compute.portable import product
+    from framework.types import Camera
+
     others = [camera for camera in cameras if camera is not first]
     other = min(others, key=lambda camera: math.dist(camera.center.tolist(), first.center.tolist()))
     a, b = (geometry.quaternions(camera.viewmat[:3, :3][None])[0] for camera in (first, other))

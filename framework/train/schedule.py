@@ -23,7 +23,8 @@ def shared(options: TrainerOptions, n_views: int) -> TrainerOptions:
     """The options of one of `members` trainings, a number >= 1.
 
     With `visits` a training has the steps that so many photos need, if they are more. With
-    members=0 the steps are those of the whole run, which `members_of` shares out.
+    members=0 the steps are those of the whole run, which `members_of` shares out. A student
+    (`kept`) takes about the time of one training, so where one pays, there is a member less.
     """
     steps = max(options.steps, options.visits * n_views)
     require(
@@ -34,8 +35,19 @@ def shared(options: TrainerOptions, n_views: int) -> TrainerOptions:
     options = replace(options, steps=steps)
     if options.members > 0:
         return options
-    members = members_of(options.members, options.steps, n_views)
-    return replace(options, members=members, steps=options.steps // members)
+    trainings = members_of(options.members, options.steps, n_views)
+    taught = 0 < options.kept < trainings - 1
+    return replace(
+        options,
+        members=trainings - taught,
+        kept=options.kept if taught else 0,
+        steps=max(1, options.steps // trainings),
+    )
+
+
+def taught(options: TrainerOptions) -> bool:
+    """Whether the members teach a student, which keeps the Gaussians of `kept` of them."""
+    return 0 < options.kept < options.members
 
 
 def paced(options: TrainerOptions, n_views: int) -> TrainerOptions:

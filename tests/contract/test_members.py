@@ -17,12 +17,14 @@ from scipy.integrate import quad
 
 from framework.compute.parallel import set_threads
 from framework.errors import UserError
+from framework.geometry import distance, mean_neighbour_distance, moved_aside
 from framework.metrics.evaluate import psnr
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import DIVERGED, parameters_sha256
 from framework.run.members import IDLE, join, member_seed, thinner
 from framework.run.plane import textured_plane
+from framework.run.student import cameras
 from framework.run.training import Run, renderer, train
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints
@@ -31,7 +33,7 @@ from framework.types import Gaussians, Scene
 from tests.contract.test_training import EAGER, NEUTRAL
 
 OPTIONS = TrainerOptions(steps=12, sh_degree=1, sh_every=4, evaluations=2, members=2, tuning=0.5)
-STEPS = 2 * 12 + 6
+STEPS = 2 * 12 + 6 + 9  # of the members, their tuning and their student
 METHOD = {"augment": "safi", "reg": "uar", "capacity": "adc"}
 
 
@@ -146,11 +148,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return trained(tmp_path_factory.mktemp("whole"))
 
 
-@pytest.mark.parametrize(("at", "n_threads"), [(5, 1), (12, 1), (17, 2), (24, 2), (27, 1)])
+@pytest.mark.parametrize(("at", "n_threads"), [(5, 1), (12, 1), (17, 2), (24, 2), (27, 1), (35, 1)])
 def test_an_interrupted_one_ends_with_the_same_bits(
     tmp_path: Path, at: int, n_threads: int, monkeypatch: pytest.MonkeyPatch, whole: Any
 ) -> None:
-    """In a member, between two, while they are tuned; one after another and at the same time."""
+    """In a member, between two, in tuning and student; one after another and at the same time."""
     monkeypatch.setattr(Checkpoints, "due", lambda self: True)
     with pytest.raises(KeyboardInterrupt):
         trained(tmp_path / "run", Stopping(at), n_threads=n_threads)
@@ -184,8 +186,40 @@ def test_one_that_had_ended_counts_as_taken_up(
     assert again.history[-1].step == steps
 
 
+def test_a_student_has_the_gaussians_of_the_members_it_keeps(tmp_path: Path) -> None:
+    sizes = [
+        len(trained(tmp_path / str(kept), members=3, kept=kept).gaussians) for kept in (1, 2, 0)
+    ]
+    assert sizes == sorted(sizes) and sizes[0] < sizes[2] / 2
+    # as many members as are kept have nothing to learn
+    both = [trained(tmp_path / f"two {kept}", members=2, kept=kept) for kept in (2, 0)]
+    assert len({parameters_sha256(one.gaussians) for one in both}) == 1
+
+
+def test_a_student_approaches_its_teacher(tmp_path: Path) -> None:
+    """Seen from a camera beside the photos, with the teacher's pseudo views and without."""
+    taught, joined = (trained(tmp_path / str(k), kept=k, steps=60) for k in (1, 0))
+    alone = trained(tmp_path / "alone", members=1, steps=60)
+    camera = moved_aside(textured_plane(1)[0].views[0].camera, 0.05)
+    of_taught, of_joined, of_alone = (
+        renderer(one.gaussians, one.background, one.sh_degree, 0.01)(camera)
+        for one in (taught, joined, alone)
+    )
+    assert psnr(of_taught, of_joined) > psnr(of_alone, of_joined)  # type: ignore[operator]
+
+
+def test_the_teacher_stands_between_and_around_the_photos() -> None:
+    training = textured_plane(1)[0]
+    made = cameras(training, 0, 8)
+    assert len({tuple(camera.center.tolist()) for camera in made}) == 8
+    spacing = mean_neighbour_distance([view.camera for view in training.views])
+    for camera in made:
+        nearest = min(distance(camera, view.camera) for view in training.views)
+        assert nearest < 4 * 0.5 * (spacing or training.extent)
+
+
 def test_without_tuning_the_joined_set_is_the_result(tmp_path: Path) -> None:
-    joined = trained(tmp_path, tuning=0.0)
+    joined = trained(tmp_path, tuning=0.0, kept=0)
     last = joined.history[-1]
     assert last.step == 24 and last.gaussians == len(joined.gaussians)
     views, background = textured_plane(1)[0].views, joined.background
@@ -210,10 +244,14 @@ def test_tuning_without_members_to_tune_is_told(
         trained(tmp_path / "one", members=1, tuning=TrainerOptions.tuning)
         assert "tuning" not in caplog.text
         trained(tmp_path / "chosen", members=1, tuning=0.5)
+        trained(tmp_path / "kept", members=2, kept=2)
     assert caplog.text.count("trainer.tuning=0.5: with trainer.members=1") == 1
+    assert caplog.text.count("trainer.kept=2: with 2 trainings") == 1
 
 
-@pytest.mark.parametrize("changes", [{"members": -1}, {"members": 17}, {"tuning": -0.1}])
+@pytest.mark.parametrize(
+    "changes", [{"members": -1}, {"members": 17}, {"kept": -1}, {"tuning": -0.1}]
+)
 def test_options_out_of_range_are_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=rf"trainer\.{next(iter(changes))}: expected"):
         TrainerOptions(**changes)

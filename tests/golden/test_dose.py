@@ -203,7 +203,7 @@ def test_what_is_told_by_hand() -> None:
 
 def test_members_are_told_together() -> None:
     one, _ = train(plugins(**darker()))
-    two = in_turn([[one], [one]], STEPS, one.gaussians).dose
+    two = in_turn([[one], [one]], one.gaussians).dose
     assert two == joined([one.dose, one.dose]) and two["steps"] == (2 * STEPS, 0.0)
     assert summary(two)["pseudo_share_of_loss"] == pytest.approx(
         summary(one.dose)["pseudo_share_of_loss"]

@@ -73,9 +73,12 @@ def test_rates_per_step_without_a_pace() -> None:
 def test_steps_are_shared_by_as_many_trainings_as_the_views_leave_them_for(
     steps: int, n_views: int, expected: tuple[int, int]
 ) -> None:
-    one = schedule.shared(TrainerOptions(steps=steps), n_views)
+    one = schedule.shared(TrainerOptions(steps=steps, kept=0), n_views)
     assert (one.members, one.steps) == expected
     assert schedule.shared(one, n_views) == one
+    taught = schedule.shared(TrainerOptions(steps=steps), n_views)
+    assert (taught.members + schedule.taught(taught), taught.steps) == expected
+    assert schedule.taught(taught) == (expected[0] >= 3)
 
 
 def test_many_photos_get_the_steps_that_visits_of_each_need() -> None:

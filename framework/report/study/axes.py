@@ -46,6 +46,7 @@ BUDGETS = (
     "trainer.coarse_factor",
     "trainer.coarse_until",
     "trainer.members",
+    "trainer.kept",
     "trainer.tuning",
     "init.budget",
     "init.per_pixel",

@@ -27,7 +27,7 @@ BASELINE = "none + none"
 NAMED = ("augment", "reg")
 WITH_STEPS = (  # what presets set together with the steps
     *("trainer.coarse_factor", "trainer.coarse_until"),
-    *("trainer.members", "trainer.tuning", "trainer.visits"),
+    *("trainer.members", "trainer.kept", "trainer.tuning", "trainer.visits"),
 )
 RATES = ("trainer.lr_final", "trainer.lr_means_final", "trainer.lr_scales")  # and with these
 RASTERIZER, NUMBA = "rasterizer.name", "numba"  # the only one of records without the key
@@ -209,7 +209,7 @@ def _without_idle_options(config: Flat) -> Flat:
     has no random draw."""
     idle = set[str]()
     if config.get("trainer.members", 1) == 1:
-        idle.add("trainer.tuning")
+        idle |= {"trainer.tuning", "trainer.kept"}
     if config.get("depth.corruption", "none") == "none" or config.get("depth.strength") == 0:
         idle.add("depth.corruption_seed")
     return {key: value for key, value in config.items() if key not in idle}
