@@ -31,7 +31,6 @@ from framework.report.findings import Findings, cost_of, find, largest_effect
 from framework.report.gallery import gallery
 from framework.report.provenance import provenance
 from framework.report.render import Page, render, render_page, say
-from framework.report.statistics.variance import SigmaComparison
 from framework.report.study import notes
 from framework.report.study.collect import collect, run_dirs
 from framework.report.study.published import bibtex
@@ -187,7 +186,6 @@ def _context(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "capacity_text": tables.capacity_text,
         "cost_of": cost_of,
         "heading_of": tables.heading_of,
-        "error_rates": _error_rates,
         "MOST_NAMED": MOST_NAMED,
         "literature": literature,
         "provenance": provenance(study),
@@ -280,12 +278,3 @@ def _stress_pictures(
         alt = f"PSNR of {panel.title} against {panel.axis.label}"
         pictures[panel.file] = chart_picture(study.out_dir, charts, alt)
     return pictures
-
-
-def _error_rates(comparisons: Sequence[SigmaComparison]) -> str:
-    """How often the tests of deviations err, by their numbers of seeds."""
-    sizes = {(c.n, c.other_n): c.size for c in comparisons}
-    return ", ".join(
-        f"{100 * share:.1f} % (with {n if n == m else f'{n} and {m}'} seeds)"
-        for (n, m), share in sorted(sizes.items())
-    )

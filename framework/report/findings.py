@@ -222,12 +222,6 @@ class Findings:
         return [c for c in self.outcomes.sigmas.values() if c.significant]
 
     @property
-    def least_power(self) -> SigmaComparison | None:
-        """The test of deviations with the least power."""
-        tested = [c for c in self.outcomes.sigmas.values() if c.ratio is not None]
-        return min(tested, key=lambda c: c.detectable or 0.0, default=None)
-
-    @property
     def untuned_scenes(self) -> list[str]:
         """Tested scenes whose test photos chose no default."""
         return [s for s in self.study.tested if role(self.study.name_of(s)) != CHOSE]

@@ -29,7 +29,6 @@ from framework.records.run_files import VIDEOS, VIEW
 from framework.records.search import Searched
 from framework.report.costs import entries, paying, train_s
 from framework.report.findings import ACTED, Contest
-from framework.report.statistics.bootstrap import sd_interval
 from framework.report.statistics.compare import Comparison
 from framework.report.statistics.drawn import Draws
 from framework.report.statistics.numbers import (
@@ -42,8 +41,7 @@ from framework.report.statistics.numbers import (
     format_significant,
     format_span,
 )
-from framework.report.statistics.outcomes import Outcomes, seed_means
-from framework.report.statistics.power import MOST_SEEDS
+from framework.report.statistics.outcomes import seed_means
 from framework.report.statistics.robustness import failure_rate, worst_case
 from framework.report.statistics.variance import SigmaComparison
 from framework.report.stress import Panel
@@ -234,10 +232,6 @@ def contest_rows(contests: Sequence[Contest]) -> list[Row]:
     ]
 
 
-def _times(ratio: float | None) -> str:
-    return ABSENT if ratio is None else format_significant(ratio)
-
-
 def capacity_text(method: Method) -> str:
     """`evidence (criterion=laplace)`, or `fixed`, which has no name among methods."""
     if not method.capacity:
@@ -258,43 +252,9 @@ def sigma_rows(sigmas: Iterable[SigmaComparison]) -> list[Row]:
             "r": ABSENT if c.rho is None else f"{c.rho:.2f}",
             "p": format_p(c.p_joint),
             "Seeds": str(c.n) if c.n == c.other_n else f"{c.n} and {c.other_n}",
-            "Detected below": ABSENT if c.detectable is None else format_significant(c.detectable),
-            "Seeds needed": _seeds_needed(c),
         }
         for c in sigmas
     ]
-
-
-def _seeds_needed(c: SigmaComparison) -> str:
-    if c.ratio is None:
-        return ABSENT
-    return f"more than {MOST_SEEDS}" if c.seeds is None else str(c.seeds)
-
-
-def deviation_rows(outcomes: Outcomes) -> list[Row]:
-    """σ_PSNR with two intervals, and over several scenes in both readings."""
-    several = bool(outcomes.scene_sigma)
-    heading = f"{'σ of the mean over scenes' if several else 'σ_PSNR'} (dB)"
-    rows: list[Row] = []
-    for method, psnr in outcomes.psnr.items():
-        free = sd_interval(list(outcomes.seeds[method].values()))
-        row: Row = {
-            "Method": method,
-            heading: ABSENT if psnr.sd is None else format_significant(psnr.sd),
-            "95 %, normal errors": format_span(psnr.sd_interval) if psnr.sd_interval else ABSENT,
-            "95 %, bootstrap": ABSENT if free is None else format_span(free),
-            "Seeds": str(psnr.n),
-        }
-        if several:
-            scene_sigma = outcomes.scene_sigma.get(method)
-            text = (
-                f"{format_significant(scene_sigma[0])} [{format_span(scene_sigma[1])}]"
-                if scene_sigma
-                else ABSENT
-            )
-            row["mean of the scenes' σ (dB)"] = text
-        rows.append(row)
-    return rows
 
 
 def draw_rows(draws: Sequence[Draws]) -> list[Row]:

@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from framework.report.statistics.compare import Comparison, compare, corrected
-from framework.report.statistics.estimates import Interval, Spread, spread
+from framework.report.statistics.estimates import Spread, spread
 from framework.report.statistics.variance import (
     SigmaComparison,
     compare_sigmas,
-    mean_deviation,
     sigmas_corrected,
 )
 from framework.report.study.methods import PLAIN, Method
@@ -30,7 +29,6 @@ class Outcomes:
 
     Attributes:
         psnr: mean over all scenes, for methods with a complete seed; `seeds`: by seed.
-        scene_sigma: mean over scenes of their standard deviations, with several scenes.
         best: the method to use, see `_best`.
         comparisons, sigmas: with the baseline of the same budget, where they share a (scene, seed).
         by_scene: scene -> its comparisons, uncorrected, with several scenes.
@@ -40,7 +38,6 @@ class Outcomes:
     best: Method
     psnr: dict[Method, Spread]
     seeds: dict[Method, dict[int, float]]
-    scene_sigma: dict[Method, tuple[float, Interval]]
     comparisons: dict[Method, Comparison]
     sigmas: dict[Method, SigmaComparison]
     by_scene: dict[str, dict[Method, Comparison]]
@@ -63,7 +60,6 @@ def outcomes(study: Study) -> Outcomes:
         _best(study, psnr, comparisons),
         psnr,
         {method: by_seed for method, by_seed in values.items() if by_seed},
-        _scene_sigmas(study) if several else {},
         comparisons,
         sigmas_corrected({m: c for m, c in sigmas.items() if c is not None}),
         {scene: _comparisons(study, [scene]) for scene in study.tested} if several else {},
@@ -132,13 +128,3 @@ def _comparisons(study: Study, scenes: Sequence[str]) -> dict[Method, Comparison
         if (base := study.baseline_of(method)) != method
     }
     return {method: c for method, c in comparisons.items() if c is not None}
-
-
-def _scene_sigmas(study: Study) -> dict[Method, tuple[float, Interval]]:
-    sigmas = {}
-    for method in study.methods:
-        samples = [list(by_pair(study.of(scene, method)).values()) for scene in study.tested]
-        mean = mean_deviation(samples)
-        if mean is not None:
-            sigmas[method] = mean
-    return sigmas

@@ -13,19 +13,13 @@ normal errors.
 Methods that share fewer than three seeds are tested by Brown and Forsythe (1974), an F test on the
 absolute distances from the median. The interval is sd_a / sd_b over the quantiles of F(n_a - 1, n_b
 - 1).
-
-Power, size and the number of seeds needed are simulated (`power`).
-
-The mean of deviations over scenes divides each s_k by its bias c4(n_k) under normal errors. Its
-interval treats the mean as a scaled chi with as many degrees of freedom as give its variance
-(Satterthwaite), with independent scenes.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -36,16 +30,8 @@ from framework.report.statistics.estimates import (
     CONFIDENCE,
     SIGNIFICANCE,
     Interval,
-    chi2_quantiles,
     deviation,
     t_quantile,
-)
-from framework.report.statistics.power import (
-    detectable,
-    heavy_size,
-    seeds_needed,
-    size,
-    uncorrelated,
 )
 from framework.report.study.methods import Method
 
@@ -63,7 +49,7 @@ class SigmaComparison:
         p: of the test.
         n, other_n: seeds of both.
         rho: correlation of the pairs that share a seed; None for samples compared as independent.
-        tests: how many comparisons `p_joint` and all that follows are corrected for (Bonferroni).
+        tests: how many comparisons `p_joint` is corrected for (Bonferroni).
     """
 
     method: Method
@@ -88,22 +74,6 @@ class SigmaComparison:
     @property
     def significant(self) -> bool:
         return self.p_joint < SIGNIFICANCE
-
-    @property
-    def seeds(self) -> int | None:
-        """Per method for the test to find this ratio; None without a ratio and where too many."""
-        return None if self.ratio is None else seeds_needed(self.ratio, self.tests, self.rho)
-
-    @property
-    def detectable(self) -> float | None:
-        """The ratio below 1 that this test would have found 8 times in 10; None: no ratio."""
-        return detectable(self.n, self.other_n, self.tests, self.rho)
-
-    @property
-    def size(self) -> float:
-        """How often the uncorrected test errs with these numbers of seeds: normal errors of
-        independent samples, heavy-tailed ones of pairs (normal ones: exactly 5 %)."""
-        return size(self.n, self.other_n) if self.rho is None else heavy_size(self.n)
 
 
 def compare_sigmas(
@@ -133,7 +103,7 @@ def compare_sigmas(
 
 
 def sigmas_corrected(comparisons: Mapping[M, SigmaComparison]) -> dict[M, SigmaComparison]:
-    """With p and power of a test that is one of all of these."""
+    """With p of a test that is one of all of these."""
     return {method: replace(c, tests=len(comparisons)) for method, c in comparisons.items()}
 
 
@@ -149,41 +119,26 @@ def brown_forsythe(a: np.ndarray, b: np.ndarray) -> float:
     return p if math.isfinite(p) else float(np.isclose(np.ptp(a), np.ptp(b)))
 
 
-def mean_deviation(samples: Sequence[Sequence[float]]) -> tuple[float, Interval] | None:
-    """Mean over the samples (scenes) of their standard deviation, freed from its bias, with its
-    interval; None where a sample has fewer than two values or there is no sample."""
-    if not samples or min(len(sample) for sample in samples) < 2:
-        return None
-    n = np.array([len(sample) for sample in samples], dtype=np.float64)
-    sds = np.array([deviation(np.asarray(sample)) for sample in samples]) / c4(n)
-    mean = float(sds.mean())
-    if mean == 0:
-        return 0.0, Interval(0.0, 0.0)
-    variance = float(np.sum(sds**2 * (1 / c4(n) ** 2 - 1))) / len(sds) ** 2
-    freedom = _freedom(variance / mean**2)
-    high, low = chi2_quantiles(freedom)
-    unit = mean * float(_c4_of_freedom(freedom)) * math.sqrt(freedom)
-    return mean, Interval(unit / math.sqrt(high), unit / math.sqrt(low))
+def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """Test pairs for correlation between differences and sums, for every row of [draws, n].
 
+    Returns:
+        [draws], two-sided p of no correlation: the larger one of that of the values and that of the
+        ranks, each by t with n - 2 degrees of freedom.
 
-def c4(n: np.ndarray) -> np.ndarray:
-    """Expected sd of n standard normal values: sqrt(2 / (n - 1)) Gamma(n / 2) / Gamma((n-1)/2)."""
-    return _c4_of_freedom(n - 1.0)
-
-
-def _c4_of_freedom(freedom: np.ndarray | float) -> np.ndarray:
-    k = np.asarray(freedom, dtype=np.float64)
-    return np.sqrt(2 / k) * np.exp(special.gammaln((k + 1) / 2) - special.gammaln(k / 2))
-
-
-def _freedom(relative_variance: float) -> float:
-    """Degrees of freedom whose bias-free chi has this relative variance, 1 / c4^2 - 1."""
-    low, high = 0.05, 1e7
-    for _ in range(50):
-        middle = math.sqrt(low * high)
-        above = 1 / float(_c4_of_freedom(middle)) ** 2 - 1 > relative_variance
-        low, high = (middle, high) if above else (low, middle)
-    return math.sqrt(low * high)
+    Source:
+        Pitman 1939 and Morgan 1939; McCulloch 1987.
+    """
+    n = differences.shape[1]
+    ranks = [x.argsort(axis=1).argsort(axis=1).astype(np.float64) for x in (differences, sums)]
+    p_values = []
+    for x, y in ((differences, sums), ranks):
+        x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
+        size = np.sqrt((x * x).sum(1) * (y * y).sum(1))
+        r = (x * y).sum(1) / np.maximum(size, 1e-150)  # equal ones are not correlated
+        t = np.abs(r) * np.sqrt((n - 2) / np.maximum(1 - r * r, 1e-300))
+        p_values.append(2 * special.stdtr(n - 2, -t))
+    return np.maximum(*p_values)
 
 
 def _paired_interval(ratio: float, rho: float, n: int) -> Interval:
