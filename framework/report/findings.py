@@ -16,8 +16,7 @@ import numpy as np
 from framework.report import stress
 from framework.report.costs import AS_GOOD_DB, Choice, choices, one_machine
 from framework.report.statistics.compare import Comparison, compare, corrected
-from framework.report.statistics.drawn import Draws, draws
-from framework.report.statistics.estimates import SIGNIFICANCE, Interval, Spread
+from framework.report.statistics.estimates import Interval, Spread
 from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import Outcomes, by_pair, outcomes
 from framework.report.statistics.robustness import (
@@ -176,21 +175,6 @@ class Findings:
         """Whether some scene has advice by time."""
         scenes = self.study.tested
         return self.study.has_budgets and any(one_machine(self.study, s) for s in scenes)
-
-    @cached_property
-    def draws(self) -> list[Draws]:
-        return [] if self.panels else draws(self.study)
-
-    @property
-    def photo_effects(self) -> list[tuple[float, Draws]]:
-        """Gains that significantly depend on which photos were drawn, with their corrected p."""
-        p = [(d.alike.p, d) for d in self.draws if d.alike is not None and d.alike.p is not None]
-        sure = [(len(p) * p_value, d) for p_value, d in p if len(p) * p_value < SIGNIFICANCE]
-        return sorted(sure, key=lambda pair: pair[0])
-
-    @property
-    def photo_tests(self) -> int:
-        return sum(d.alike is not None and d.alike.p is not None for d in self.draws)
 
     @cached_property
     def costs(self) -> list[Cost]:

@@ -30,7 +30,6 @@ from framework.records.search import Searched
 from framework.report.costs import entries, paying, train_s
 from framework.report.findings import ACTED, Contest
 from framework.report.statistics.compare import Comparison
-from framework.report.statistics.drawn import Draws
 from framework.report.statistics.numbers import (
     ABSENT,
     format_difference,
@@ -254,26 +253,6 @@ def sigma_rows(sigmas: Iterable[SigmaComparison]) -> list[Row]:
             "Seeds": str(c.n) if c.n == c.other_n else f"{c.n} and {c.other_n}",
         }
         for c in sigmas
-    ]
-
-
-def draw_rows(draws: Sequence[Draws]) -> list[Row]:
-    """What every method gains with other training photos of the same scene."""
-    return [
-        {
-            "Scene": draw.scene,
-            "Method": draw.method,
-            "Compared with": draw.baseline,
-            "Each draw (dB)": ", ".join(format_difference(gain) for gain in draw.gains),
-            "Mean (dB)": format_difference(draw.over.mean),
-            "other photos, 95 %": format_interval(i) if (i := draw.over.interval()) else ABSENT,
-            "σ of draws (dB)": format_significant(float(np.std(draw.gains, ddof=1))),
-            "σ of seeds (dB)": format_significant(draw.alike.sd) if draw.alike else ABSENT,
-            "Draws alike": format_p(draw.alike.p)
-            if draw.alike is not None and draw.alike.p is not None
-            else ABSENT,
-        }
-        for draw in draws
     ]
 
 
