@@ -25,7 +25,7 @@ from framework.report.export import (
 from framework.report.figures.chart import Picture, chart_picture
 from framework.report.figures.charts import cost_charts, curves, has_members, stress_charts
 from framework.report.figures.forest import forest_of, forest_picture
-from framework.report.figures.pictures import draw_closeup, draw_sigma_maps, remove_pictures
+from framework.report.figures.pictures import draw_closeup, remove_pictures
 from framework.report.figures.views import DamagedRun, damaged_pictures, own_scenes
 from framework.report.findings import Findings, cost_of, find, largest_effect
 from framework.report.gallery import gallery
@@ -223,7 +223,6 @@ def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "closeups": _drawn(lambda scene: draw_closeup(study, scene), seen),
         "costs": [] if findings.panels else [_cost(study, scene) for scene in study.tested],
         "machines": sorted({outside(str(r.record.provenance.get("cpu"))) for r in study.runs}),
-        "maps": _drawn(lambda scene: draw_sigma_maps(study, scene), seen),
         "has_members": lambda scene: has_members(study, scene),
         "curves": _drawn(lambda scene: _curves(study, scene), shown),
     }

@@ -311,37 +311,6 @@ def _worst_cells(runs: list[ReportRun]) -> Row:
     }
 
 
-def tag_rows(study: Study, scenes: Sequence[str]) -> list[Row]:
-    """PSNR and SSIM of the test views with each tag: mean over the views, then over the seeds."""
-    rows: list[Row] = []
-    for scene in scenes:
-        tags = _tags(study, scene)
-        for method in study.methods if tags else ():
-            runs = study.of(scene, method)
-            row: Row = {"Scene": scene, "Method": method}
-            for tag in tags if runs else ():
-                for metric in ("psnr", "ssim"):
-                    values = [_tag_mean(run, tag, metric) for run in runs]
-                    heading = f"{heading_of(metric)}, {outside(tag)}"
-                    row[heading] = format_mean(values, digits(metric), show_half=metric == "psnr")
-            rows += [row] if runs else []
-    return rows if len(scenes) > 1 else without(rows, "Scene")
-
-
-def _tags(study: Study, scene: str) -> list[str]:
-    """The tags of test views of a scene, `interpolating` before `extrapolating`."""
-    texts = {text for run in study.of(scene) for text in run.run.metrics.texts["tags"]}
-    tags = {tag for text in texts for tag in text.split()}
-    return sorted(tags, key=lambda tag: (tag != "interpolating", tag))
-
-
-def _tag_mean(run: ReportRun, tag: str, metric: str) -> float | None:
-    table = run.run.metrics
-    pairs = zip(table.texts["tags"], table.numbers[metric], strict=True)
-    values = [value for tags, value in pairs if tag in tags.split()]
-    return float(np.mean(values)) if values and not np.isnan(values).any() else None
-
-
 def dose_rows(study: Study) -> list[Row]:
     """What each method did during training, from the trainer's counts; none without counts."""
     rows: list[Row] = []

@@ -72,14 +72,6 @@ def test_who_is_as_good_as_the_best_is_listed(tmp_path: Path) -> None:
     assert f"- Not significantly different from {best}: {other} (" in text
 
 
-def test_power_is_stated_where_no_spread_differs(tmp_path: Path) -> None:
-    write(tmp_path, {"none": 0.0, "safi": 0.0}, 4)
-    few = r"With 4 seeds only a spread below 0\.0\d+ times that of the baseline"
-    assert re.search(few, first_screen(tmp_path))
-    write(tmp_path, {"none": 0.0, "safi": 0.0}, 12)
-    assert re.search(r"With 12 seeds a spread below 0\.\d+ times", first_screen(tmp_path))
-
-
 def test_one_method_is_nothing_to_compare_and_the_baseline_is_a_command(tmp_path: Path) -> None:
     fake_run(tmp_path / "mine", "safi", "uar")
     assert "in a single run (n = 1), whose variation is unknown" in first_screen(tmp_path / "mine")

@@ -1,4 +1,4 @@
-"""Bands of small pictures with a title each, three to a row, that stay readable at 800 pixels.
+"""A grid of small pictures with a title each, three to a row, that stay readable at 800 pixels.
 
 All lengths are pixels of the finished image. A picture is made as wide as its column: a larger one
 is averaged down (Lanczos), a smaller one keeps its pixels as squares.
@@ -35,21 +35,16 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Scale:
-    """What the colours of the maps mean: `colormap` from 0 to `largest`."""
-
-    title: str
-    colormap: str
-    largest: float
-
-
-@dataclass(frozen=True)
 class Band:
-    """Groups of cells under a heading, each group from a new row on, and the scale of its maps."""
+    """Groups of cells under a heading, each group from a new row on.
+
+    Attributes:
+        largest: the largest error that the colours of error maps show.
+    """
 
     heading: str
     groups: tuple[tuple[Cell, ...], ...]
-    scale: Scale
+    largest: float
 
     @property
     def rows(self) -> list[tuple[Cell, ...]]:
@@ -58,23 +53,15 @@ class Band:
         return [group[k : k + COLUMNS] for group, k in starts]
 
 
-def draw_bands(bands: Sequence[Band]) -> Image.Image:
-    """The bands below each other."""
-    heights = [HEADING + sum(_row_height(row) for row in band.rows) for band in bands]
-    page = Image.new("RGB", (WIDTH, sum(heights)), PAPER)
-    top = 0
-    for band, height in zip(bands, heights, strict=True):
-        _draw_band(page, band, top)
-        top += height
-    return page
-
-
-def _draw_band(page: Image.Image, band: Band, top: int) -> None:
+def draw_band(band: Band) -> Image.Image:
+    """The cells below the heading."""
+    height = HEADING + sum(_row_height(row) for row in band.rows)
+    page = Image.new("RGB", (WIDTH, height), PAPER)
     draw = ImageDraw.Draw(page)
     heading = "\n".join(textwrap.wrap(band.heading, 60)[:2])
-    draw.multiline_text((4, top + 10), heading, INK, _font(HEADING_SIZE, bold=True), spacing=3)
-    _draw_scale(page, draw, band.scale, top)
-    top += HEADING
+    draw.multiline_text((4, 10), heading, INK, _font(HEADING_SIZE, bold=True), spacing=3)
+    _draw_scale(page, draw, band.largest)
+    top = HEADING
     for row in band.rows:
         below_titles = top + _titles_height(row)
         for column, cell in enumerate(row):
@@ -84,21 +71,22 @@ def _draw_band(page: Image.Image, band: Band, top: int) -> None:
                 draw.text(place, line, INK, _font(TITLE_SIZE), anchor="ms")
             page.paste(_fitted(cell.pixels), (left, below_titles))
         top += _row_height(row)
+    return page
 
 
-def _draw_scale(page: Image.Image, draw: ImageDraw.ImageDraw, scale: Scale, top: int) -> None:
-    """At the right end of the heading: its title, the colours, and what 0, half and all mean."""
-    left, box_top, right, bottom = SCALE_BOX
-    width, height = right - left, bottom - box_top
-    ramp = matplotlib.colormaps[scale.colormap](np.linspace(0, 1, width), bytes=True)[:, :3]
-    page.paste(Image.fromarray(np.repeat(ramp[None], height, axis=0)), (left, top + box_top))
+def _draw_scale(page: Image.Image, draw: ImageDraw.ImageDraw, largest: float) -> None:
+    """At the right end of the heading: the colours, and what 0, half and all mean."""
+    left, top, right, bottom = SCALE_BOX
+    width, height = right - left, bottom - top
+    ramp = matplotlib.colormaps["magma"](np.linspace(0, 1, width), bytes=True)[:, :3]
+    page.paste(Image.fromarray(np.repeat(ramp[None], height, axis=0)), (left, top))
     font = _font(TITLE_SIZE)
-    draw.text(((left + right) // 2, top + box_top - 5), scale.title, INK, font, anchor="ms")
-    ends = ("0", f"{scale.largest / 2:g}", f"≥ {scale.largest:g}")
+    draw.text(((left + right) // 2, top - 5), "mean absolute error", INK, font, anchor="ms")
+    ends = ("0", f"{largest / 2:g}", f"≥ {largest:g}")
     for share, text in zip((0.0, 0.5, 1.0), ends, strict=True):
         x = left + round(share * (width - 1))
-        draw.line((x, top + bottom, x, top + bottom + 3), INK)
-        draw.text((x, top + bottom + 5), text, INK, font, anchor="ma")
+        draw.line((x, bottom, x, bottom + 3), INK)
+        draw.text((x, bottom + 5), text, INK, font, anchor="ma")
 
 
 def _fitted(pixels: np.ndarray) -> Image.Image:

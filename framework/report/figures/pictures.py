@@ -10,26 +10,21 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 
 from framework.files.whole import write_whole
 from framework.records.run_files import ERROR_SCALE
 from framework.report.figures.chart import Picture
-from framework.report.figures.grid import COLUMNS, Band, Cell, Scale, draw_bands
+from framework.report.figures.grid import COLUMNS, Band, Cell, draw_band
 from framework.report.figures.views import check_size, choose_views, picture, psnr_text
-from framework.report.statistics.numbers import format_significant
-from framework.report.study.study import ReportRun, Study
+from framework.report.study.study import Study
 from framework.report.study.words import listed, outside
 
-KINDS = ("closeup", "sigma", "images")  # begin the names of pictures; older reports used the last
+KINDS = ("closeup", "sigma", "images")  # begin the names of pictures; older reports used all
 SHARE = 4  # of the width and height that a crop takes: one part in so many
 FRAME = np.array([255, 215, 0], dtype=np.uint8)
-SIGMA_SCALE, SIGMA_COLORS = 0.1, "viridis"
-FEWEST_SEEDS = 3  # a deviation of two values says little about a pixel
 BESIDE = COLUMNS - 1  # methods in a row, after the ground truth
 JPEG: dict[str, Any] = {"quality": 90, "subsampling": 0}  # colour edges of maps stay sharp
 
@@ -59,8 +54,7 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
             tuple(Cell("", np.ascontiguousarray(p[window])) for p in pictures),
             (empty, *(Cell("error", error) for error in errors[k : k + BESIDE])),
         ]
-    scale = Scale("mean absolute error", "magma", ERROR_SCALE)
-    band = Band(f"{scene}: {outside(view)}", tuple(groups), scale)
+    band = Band(f"{scene}: {outside(view)}", tuple(groups), ERROR_SCALE)
     reason = "the only one" if len(shown.views) == 1 else why.replace("; ", " and ")
     seeds = listed(sorted({run.seed for run in shown.runs}))
     caption = (
@@ -69,8 +63,10 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
         f" (mean absolute difference over the channels, black = 0, pale yellow = {ERROR_SCALE:g} or"
         " more)."
     )
-    name = study.file_of("closeup", scene)
-    return _grid_picture(study.out_dir, name, [band], f"All methods on {scene}", caption)
+    name, buffer = f"{study.file_of('closeup', scene)}.jpg", io.BytesIO()
+    draw_band(band).save(buffer, format="JPEG", **JPEG)
+    write_whole(study.out_dir / name, buffer.getvalue())
+    return Picture((name,), f"All methods on {scene}", caption)
 
 
 def _window(pictures: list[np.ndarray]) -> tuple[slice, slice]:
@@ -100,63 +96,6 @@ def _framed(picture: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
     )
     framed[inner] = picture[inner]
     return framed
-
-
-def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
-    """Where the runs of each method differ; None if no method has `FEWEST_SEEDS` seeds."""
-    shown = choose_views(study, scene)
-    groups = [(run.method, study.of(scene, run.method)) for run in shown.runs]
-    groups = [(method, runs) for method, runs in groups if len(runs) >= FEWEST_SEEDS]
-    if not groups or not shown.views:
-        return None
-    bands = []
-    for view, why in shown.views:
-        truth = Cell("ground truth", picture(shown.runs[0], view, "truth"))
-        scale = Scale("standard deviation over seeds", SIGMA_COLORS, SIGMA_SCALE)
-        maps = [_sigma_cell(str(method), runs, view) for method, runs in groups]
-        bands.append(Band(f"{outside(view)} ({why})", ((truth, *maps),), scale))
-    caption = (
-        "Standard deviation of each pixel over the seeds of one method, root mean square over the"
-        f" channels; dark = 0, yellow = {SIGMA_SCALE:g} of the full range or more. Below each name:"
-        " root mean square over the pixels and the number of seeds."
-    )
-    name = study.file_of("sigma", scene)
-    return _grid_picture(study.out_dir, name, bands, f"Deviation over seeds of {scene}", caption)
-
-
-def sigma_map(runs: Sequence[ReportRun], view: str) -> np.ndarray:
-    """Standard deviation (n - 1) over the runs [H, W], as root mean square over the channels.
-
-    The renders are in [0, 1].
-    """
-    total = squares = np.zeros(1)
-    for run in runs:
-        pixels = picture(run, view, "render").astype(np.float64)
-        if run is not runs[0]:
-            check_size(run, view, pixels.shape, total.shape)
-        total, squares = total + pixels, squares + pixels**2
-    n = len(runs)
-    variance = np.maximum(squares - total**2 / n, 0.0) / (n - 1)
-    return np.sqrt(variance.mean(axis=2)) / 255.0
-
-
-def _sigma_cell(method: str, runs: Sequence[ReportRun], view: str) -> Cell:
-    having = [run for run in runs if view in run.files]
-    sigma = sigma_map(having, view)
-    rms = float(np.sqrt((sigma**2).mean()))
-    colours = matplotlib.colormaps[SIGMA_COLORS](np.clip(sigma / SIGMA_SCALE, 0, 1), bytes=True)
-    title = f"{method}\nrms {format_significant(rms)} (n = {len(having)})"
-    return Cell(title, np.ascontiguousarray(colours[..., :3]))
-
-
-def _grid_picture(
-    out_dir: Path, name: str, bands: Sequence[Band], alt: str, caption: str
-) -> Picture:
-    """Draw the bands into a JPEG."""
-    buffer = io.BytesIO()
-    draw_bands(bands).save(buffer, format="JPEG", **JPEG)
-    write_whole(out_dir / f"{name}.jpg", buffer.getvalue())
-    return Picture((f"{name}.jpg",), alt, caption)
 
 
 def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
