@@ -11,7 +11,6 @@ __all__ = [
     "opened",
     "pages",
     "paths",
-    "tidy",
     "tree",
     "whole",
 ]

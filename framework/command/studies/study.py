@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
@@ -35,8 +36,8 @@ from framework.command.studies.estimate import announce
 from framework.command.studies.ready import check_links, check_ready
 from framework.compute.stopwatch import Stopwatch, duration
 from framework.errors import UserError, mendable, os_line, printable_line, require
+from framework.files.cache import cache_dir, usable
 from framework.files.locks import locked
-from framework.files.tidy import own_folder
 from framework.files.whole import remove_temporaries, write_whole
 from framework.records.progress import say
 
@@ -75,10 +76,12 @@ class Outcome:
 @contextmanager
 def ledger() -> Iterator[Path]:
     """Make an empty ledger for this process and its children; it is removed at the end."""
-    with own_folder("ledger-") as folder:
-        os.environ[LEDGER_VARIABLE] = str(folder)
+    with usable(cache_dir()):
+        made = TemporaryDirectory(prefix="ledger-", dir=cache_dir(), ignore_cleanup_errors=True)
+    with made as folder:
+        os.environ[LEDGER_VARIABLE] = folder
         try:
-            yield folder
+            yield Path(folder)
         finally:
             for name in (LEDGER_VARIABLE, JOBS_VARIABLE, VARIED_VARIABLE):
                 os.environ.pop(name, None)
