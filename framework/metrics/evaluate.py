@@ -196,20 +196,6 @@ def mean_of(metrics: Sequence[ViewMetrics], metric: str) -> Measurement:
     return _finite(mean, f"the mean of {metric}")
 
 
-def lpips_of(
-    images: Sequence[tuple[np.ndarray, np.ndarray]],
-    network: Lpips | None,
-    both: bool = False,
-    report: Callable[[str], None] | None = None,
-) -> dict[str, list[Measurement]]:
-    """Measure LPIPS of (render, truth) pairs of [H, W, 3] uint8 images.
-
-    Returns:
-        The values of `lpips` and `lpips_01`; the latter are Missing unless `both` is set.
-    """
-    return _run(_lpips_tasks(images, network, both, report))
-
-
 def _lpips_tasks(
     images: Sequence[tuple[np.ndarray, np.ndarray]],
     network: Lpips | None,

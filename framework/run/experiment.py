@@ -24,7 +24,7 @@ from framework.compute.stopwatch import Stopwatch
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
 from framework.metrics.coadaptation import with_average, with_coadaptation, with_rank
-from framework.metrics.evaluate import evaluate
+from framework.metrics.evaluate import NO_LPIPS, evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.values import (
@@ -65,18 +65,16 @@ from framework.records.record import (
 )
 from framework.records.run_files import remove_made_of_model
 from framework.run import answers, budget, trackers
-from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.plugin_code import plugin_hashes
 from framework.run.preparation import (
     Preparation,
     evened,
-    forgotten_if_changed,
+    forgotten_if_foreign,
     load_scene,
     options_of,
     prepare,
 )
 from framework.run.training import Run, initial, renderer, thinned, train, within_seconds
-from framework.run.untouched import Shared, foreign
 from framework.run.warmup import Warmup
 from framework.train.dose import summary as dose_summary
 from framework.train.resume.checkpoint import remove_checkpoints
@@ -113,7 +111,7 @@ class Experiment:
         files = {**file_fingerprints(self.config, scene), **plugins}
         identity = identity_of(self.config, scene.fingerprint, code_hash(), files)
         complete = self._complete(identity)
-        if complete is not None and not lacks_lpips(complete, self.network):
+        if complete is not None:
             self.progress.done(_reused(complete))
             remove_stale(self.folder, remove_checkpoints)  # of a run killed after its record
             return complete
@@ -122,28 +120,27 @@ class Experiment:
             complete = self._complete(identity)
             if complete is not None:
                 remove_checkpoints(self.folder)
-                complete = with_lpips(self.folder, complete, self.network)
                 self.progress.done(_reused(complete))
                 return complete
             damage = "" if self.config["force"] else damaged_file(self.folder, identity)
             if damage:
                 LOG.warning(f"{self.folder.name}: {damage}; running it again")
             remove_temporaries(self.folder)
-            shared = Shared(foreign(self.config))
-            with forgotten_if_changed(shared):
-                preparation = prepare(
-                    self.config, files["depth"], shared, self.warmup, self.progress
-                )
+            with forgotten_if_foreign(self.config):
+                preparation = prepare(self.config, files["depth"], self.warmup, self.progress)
                 warnings += preparation.warnings
                 preparation = self._with_fewer_test_views(preparation)
                 record = self._new_record(identity, plugins, preparation, len(scene.test))
-                record = self._train(record, preparation, shared, warnings)
+                record = self._train(record, preparation, warnings)
         self.progress.done(_result(record))
         return record
 
     def _complete(self, identity: str) -> RunRecord | None:
-        """The complete record of the same run, unless it is to be repeated."""
-        return None if self.config["force"] else find_complete(self.folder, identity)
+        """The complete record of the same run, unless it is to be repeated, or lacks LPIPS for want
+        of weights that are there now."""
+        complete = None if self.config["force"] else find_complete(self.folder, identity)
+        lacks_lpips = complete is not None and complete.summary.get("lpips") == NO_LPIPS
+        return None if lacks_lpips and self.network is not None else complete
 
     def _with_fewer_test_views(self, preparation: Preparation) -> Preparation:
         """Keep `metrics.views` of the test views, evenly spread."""
@@ -187,7 +184,6 @@ class Experiment:
         self,
         record: RunRecord,
         preparation: Preparation,
-        shared: Shared,
         warnings: list[str],
     ) -> RunRecord:
         """Train and evaluate; returns the record as written."""
@@ -222,7 +218,6 @@ class Experiment:
         near = run.near(TrainerOptions(**config["trainer"]))
         with _timed(timings, "evaluate"):
             metrics, renders = self._evaluate(trained, run, near)
-        shared.check()
         record = dataclasses.replace(
             record,
             provenance=facts,

@@ -23,8 +23,8 @@ from framework.records.notices import warnings_of
 from framework.records.progress import Progress
 from framework.records.record import StageTime
 from framework.run import answers
+from framework.run.plugin_code import chosen_plugins
 from framework.run.poses import checked_poses
-from framework.run.untouched import Shared, depth_parts, scene_parts
 from framework.run.warmup import Warmup
 from framework.scenes import ALL, UNTESTED
 from framework.types import DepthMap, Scene, TrainingSet
@@ -146,7 +146,6 @@ def compare_exposures(scene: Options, depth: Options, fingerprint: str) -> Expos
 def prepare(
     config: Mapping[str, Any],
     depth_fingerprint: str,
-    shared: Shared,
     warmup: Warmup,
     progress: Progress,
 ) -> Preparation:
@@ -155,17 +154,14 @@ def prepare(
     Args:
         config: of the run, plain and resolved.
         depth_fingerprint: of the files that the depth provider reads.
-        shared: watches the tensors that runs of the process share.
         warmup: loads kernels while the stages run; complete on return.
         progress: shows the stages.
     """
     scene_options, depth_options = options_of(config, "scene"), options_of(config, "depth")
     scene = load_scene(scene_options)
-    shared.watch(scene_parts(scene.result))
     warmup.begin()
     progress.stage(f"depth {config['depth']['name']}")
     depth = estimate_depth(scene_options, depth_options, depth_fingerprint)
-    shared.watch(depth_parts(scene.result, depth.result))
     poses = check_poses(scene_options)
     warmup.finish()
     stages: dict[str, Stage[Any]] = {"scene": scene, "depth": depth, "pose_check": poses}
@@ -190,12 +186,14 @@ def prepare(
 
 
 @contextmanager
-def forgotten_if_changed(shared: Shared) -> Iterator[None]:
-    """Drop the kept results if the run changed what runs share, however it ends."""
+def forgotten_if_foreign(config: Mapping[str, Any]) -> Iterator[None]:
+    """Drop the kept results after a run with plugins that are not this project's: they may have
+    written into what runs share."""
+    modules = [cls.__module__.partition(".")[0] for cls in chosen_plugins(config).values()]
     try:
         yield
     finally:
-        if shared.changed():
+        if not set(modules) <= set(registry.OURS):
             forget()
 
 

@@ -1,4 +1,4 @@
-"""A plugin from outside that writes into what it is given ends its own run, and no other."""
+"""A plugin from outside that writes into what it is given spoils its own run, and no other."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from typing import Any
 import pytest
 import torch
 
-from framework.errors import UserError
 from framework.plugin import DepthProvider, Regularizer, register
 from framework.records.progress import Silent
 from framework.run import preparation
 from framework.run.experiment import run_experiment
-from framework.run.untouched import Shared, foreign
 from framework.types import DepthMap
 from tests.built import load_scene
 from tests.documents.registered import as_before
@@ -60,18 +58,10 @@ def config(**changes: Any) -> dict[str, Any]:
     return small_config(group("depth", "plane_sweep")) | changes
 
 
-@pytest.mark.parametrize(
-    ("name", "choice", "message"),
-    [("reg", "scribbler", r"reg=scribbler: "), ("depth", "spoiler", r"depth=spoiler: ")],
-)
-def test_the_next_run_is_what_it_would_be_alone(
-    tmp_path: Path, name: str, choice: str, message: str
-) -> None:
+@pytest.mark.parametrize(("name", "choice"), [("reg", "scribbler"), ("depth", "spoiler")])
+def test_the_next_run_is_what_it_would_be_alone(tmp_path: Path, name: str, choice: str) -> None:
     alone = run_experiment(config(), tmp_path / "alone", Silent())
-    odd = config(**{name: group(name, choice)})
-    with pytest.raises(UserError, match=rf"^{message}expected the image of view .* unchanged"):
-        run_experiment(odd, tmp_path / "odd", Silent())
-    assert not (tmp_path / "odd" / "record.json").exists()
+    run_experiment(config(**{name: group(name, choice)}), tmp_path / "odd", Silent())
     after = run_experiment(config(), tmp_path / "after", Silent())
     assert after.parameters_sha256 == alone.parameters_sha256
     assert after.summary == alone.summary
@@ -84,15 +74,6 @@ def test_nor_is_what_one_that_fails_leaves_behind(tmp_path: Path) -> None:
         run_experiment(odd, tmp_path / "odd", Silent())
     after = run_experiment(config(), tmp_path / "after", Silent())
     assert after.parameters_sha256 == alone.parameters_sha256
-
-
-def test_our_own_plugins_are_not_looked_after() -> None:
-    assert foreign(config(reg=group("reg", "uar"))) == []
-    assert foreign(config(reg=group("reg", "scribbler"))) == ["reg=scribbler"]
-    shared, image = Shared([]), torch.zeros(3)
-    shared.watch([("it", image)])
-    image += 1
-    assert shared.changed() == []
 
 
 def test_a_plugin_that_reads_by_name_is_not_asked_in_vain(tmp_path: Path) -> None:
