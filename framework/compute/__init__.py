@@ -4,16 +4,3 @@
 `rng`: random streams; `stopwatch`: times; `orphans`: the end with the parent process. `portable`
 and `tensors`: arithmetic with the same bits on every processor.
 """
-
-__all__ = [
-    "chunks",
-    "compiling",
-    "jit",
-    "orphans",
-    "parallel",
-    "portable",
-    "rng",
-    "simd",
-    "stopwatch",
-    "tensors",
-]

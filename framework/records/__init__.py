@@ -3,20 +3,3 @@
 machine."""
 
 RUN_FOLDERS = "runs"  # in the folder of a study; each of its runs has one there
-
-__all__ = [
-    "RUN_FOLDERS",
-    "archive",
-    "cameras",
-    "failure",
-    "first_view",
-    "notices",
-    "photos",
-    "ply",
-    "progress",
-    "provenance",
-    "record",
-    "record_check",
-    "run_files",
-    "search",
-]

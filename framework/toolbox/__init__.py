@@ -3,5 +3,3 @@
 `warping`: augmenters; `dropout`: dropout regularizers; `pull`, `rounds` and `bands`: capacities;
 `elsewhere`: losses from other cameras; `neighbours`: nearest Gaussians.
 """
-
-__all__ = ["bands", "dropout", "elsewhere", "neighbours", "pull", "rounds", "warping"]

@@ -60,7 +60,7 @@ def test_every_difference_is_stated_with_its_power(tmp_path: Path) -> None:
         r" be ruled out with 4 seeds\.",
         text,
     )
-    assert "Seed-to-seed spread (σ): no significant difference." in text
+    assert "Seed-to-seed spread (σ): no significant difference" in text
     assert "Baseline is weakest on embedded: its worst view is" in text
 
 
