@@ -12,7 +12,6 @@ from framework.errors import require
 from framework.files.whole import make_folder, write_whole
 from framework.records.archive import ARCHIVE, has_archive, read_archive
 from framework.report import literature, stress, tables
-from framework.report.costs import Smallest, entries, smallest
 from framework.report.export import (
     LATEX,
     TABLE,
@@ -60,11 +59,10 @@ class Report:
 
 @dataclass(frozen=True)
 class SceneCost:
-    """The charts of a scene's costs, and its smallest good model."""
+    """The charts of a scene's costs."""
 
     scene: str
     pictures: list[Picture]
-    smallest: Smallest | None
 
 
 def build_report(
@@ -199,8 +197,6 @@ def _context(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
 def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
     """All figures, by where the template shows them."""
     study = findings.study
-    beside = [] if findings.panels else stress.panels_beside(study)
-    limits = stress.limits(study, beside)
     shown = stress.shown_scenes(study, findings.panels) if findings.panels else study.scenes
     seen = [scene for scene in shown if scene in visible]
     hidden = [scene for scene in study.scenes if scene not in visible]
@@ -215,11 +211,8 @@ def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "hidden": [] if study.archived else hidden,
         "missing": missing,
         "forest": _forest(findings),
-        "panels_beside": beside,
-        "limits_beside": limits,
         "against": _against(study),
-        "stress_pictures": _stress_pictures(study, findings.panels, findings.limits)
-        | _stress_pictures(study, beside, limits),
+        "stress_pictures": _stress_pictures(study, findings.panels, findings.limits),
         "closeups": _drawn(lambda scene: draw_closeup(study, scene), seen),
         "costs": [] if findings.panels else [_cost(study, scene) for scene in study.tested],
         "machines": sorted({outside(str(r.record.provenance.get("cpu"))) for r in study.runs}),
@@ -247,7 +240,7 @@ def _forest(findings: Findings) -> Picture | None:
 def _cost(study: Study, scene: str) -> SceneCost:
     alt = f"PSNR against cost of {scene}"
     pictures = [chart_picture(study.out_dir, charts, alt) for charts in cost_charts(study, scene)]
-    return SceneCost(scene, pictures, smallest(entries(study, scene)))
+    return SceneCost(scene, pictures)
 
 
 def _curves(study: Study, scene: str) -> Picture | None:

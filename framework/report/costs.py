@@ -187,21 +187,3 @@ def _best_within(study: Study, within: Sequence[Entry]) -> Entry:
         and not better(best, entry, tests)
     ]
     return min(as_good, key=train_s)
-
-
-@dataclass(frozen=True)
-class Smallest:
-    """The configuration with the smallest model within `AS_GOOD_DB` of the best."""
-
-    entry: Entry
-    best: Entry
-
-
-def smallest(options: Sequence[Entry]) -> Smallest | None:
-    """None if all models have one size."""
-    if len(options) < 2 or not differs([megabytes(entry) for entry in options]):
-        return None
-    best = max(options, key=_gain)
-    return Smallest(
-        min((e for e in options if e.gain >= best.gain - AS_GOOD_DB), key=megabytes), best
-    )

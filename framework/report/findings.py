@@ -6,7 +6,6 @@ charts draw: corrected for all comparisons of the report.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,17 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from framework.report import stress
-from framework.report.costs import AS_GOOD_DB, Choice, choices, one_machine
+from framework.report.costs import Choice, choices, one_machine
 from framework.report.statistics.compare import Comparison, compare, corrected
 from framework.report.statistics.estimates import Interval, Spread
 from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import Outcomes, by_pair, outcomes
-from framework.report.statistics.robustness import (
-    FailureRate,
-    WorstCase,
-    failure_rate,
-    worst_case,
-)
 from framework.report.statistics.variance import SigmaComparison
 from framework.report.study.methods import PLAIN, Method
 from framework.report.study.plugins import papers
@@ -63,20 +56,6 @@ class Cost:
     cpu_s: float | None
     gaussians: float
     parameters: float
-
-
-@dataclass(frozen=True)
-class Weakest:
-    """The scene where a method has its lowest mean PSNR, with its worst case there."""
-
-    method: Method
-    scene: str
-    n_scenes: int
-    mean: float
-    n_seeds: int
-    case: WorstCase | None
-    worst_run: tuple[float, int]  # PSNR in dB, seed
-    rate: FailureRate | None
 
 
 @dataclass(frozen=True)
@@ -196,10 +175,6 @@ class Findings:
             methods[1] = max(comparisons, key=lambda m: comparisons[m].difference)
         return [cost_of(m, self.study.of(method=m)) for m in dict.fromkeys(methods)]
 
-    @cached_property
-    def weakest(self) -> Weakest | None:
-        return None if self.panels or not self.outcomes.psnr else _weakest(self)
-
     @property
     def steadiness(self) -> list[SigmaComparison]:
         """Significant differences of the standard deviation over seeds."""
@@ -307,39 +282,6 @@ def cost_of(method: Method, runs: Sequence[ReportRun]) -> Cost:
         average([float(run.record.gaussians) for run in runs]) or 0.0,
         average([float(run.record.parameters) for run in runs]) or 0.0,
     )
-
-
-def _weakest(findings: Findings) -> Weakest | None:
-    study, outcomes = findings.study, findings.outcomes
-    method = outcomes.best
-    if method == study.baseline_of(method) and study.has_budgets:
-        method = _cheapest_good(study, outcomes) or method
-    means = {
-        scene: value
-        for scene in study.tested
-        if (value := average([run.mean("psnr") for run in study.of(scene, method)])) is not None
-    }
-    if not means:
-        return None
-    scene = min(means, key=lambda scene: means[scene])
-    runs = study.of(scene, method)
-    values = [(psnr, run.seed) for run in runs if (psnr := run.mean("psnr")) is not None]
-    rate = failure_rate(study, method) if study.has_views else None
-    seeds = len({run.seed for run in runs})
-    case = worst_case(runs)
-    return Weakest(method, scene, len(means), means[scene], seeds, case, min(values), rate)
-
-
-def _cheapest_good(study: Study, outcomes: Outcomes) -> Method | None:
-    """The cheapest budget of the first method that is nearly as good as its best."""
-    means = {m: s.mean for m, s in outcomes.psnr.items() if m.family == study.families[0]}
-    good = [m for m, mean in means.items() if mean >= max(means.values()) - AS_GOOD_DB]
-
-    def cost(method: Method) -> tuple[float, str]:
-        cpu = average([run.record.train_cpu_s for run in study.of(method=method)])
-        return (math.inf if cpu is None else cpu, method.label)
-
-    return min(good, key=cost, default=None)
 
 
 def contests(study: Study) -> list[Contest]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,7 +40,7 @@ from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.collect import collect, holds_run, walked
 from framework.report.study.methods import Method
 from framework.report.study.study import Study
-from framework.report.study.words import listed, natural, outside
+from framework.report.study.words import natural, outside
 from framework.report.tables import Link
 from framework.report.tables import Row as Cells
 from framework.scenes import HELD_OUT
@@ -121,7 +120,6 @@ def _written(folder: Path, out_dir: Path, rival: str) -> tuple[Path, int, str]:
         "ranks": _ranks(ranked),
         "forest": _forest(ranked, families, out_dir),
         "studies": [_study_row(entry, out_dir) for entry in entries],
-        "shared": _shared(entries),
         "broken": [{"Study": name, "Why": why} for name, why in sorted(broken.items())],
         "rows": [_row(match) for match in matches],
     }
@@ -252,20 +250,6 @@ def _link(entry: Entry, out_dir: Path) -> str | Link:
         return entry.name
     way = Path(os.path.relpath(report.resolve(), out_dir.resolve())).as_posix()
     return Link(entry.name, quote(os.fsencode(way)))
-
-
-def _shared(entries: Sequence[Entry]) -> str:
-    """Which studies have trainings in common, by the hashes of their parameters."""
-    hashes = {
-        entry.name: {run.record.parameters_sha256 for run in entry.study.runs} - {""}
-        for entry in entries
-    }
-    pairs = [
-        f"{one} and {other} ({len(both)})"
-        for one, other in itertools.combinations(hashes, 2)
-        if (both := hashes[one] & hashes[other])
-    ]
-    return listed(pairs) if pairs else ""
 
 
 def _forest(matches: Sequence[Match], families: Sequence[Method], out_dir: Path) -> Picture | None:

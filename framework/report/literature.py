@@ -2,8 +2,7 @@
 
 A recipe is a run with `method=NAME` on its command line, or `method=NAME_sweep`, which replaces a
 depth network by the plane sweep. Published figures are means over a data set, measured on a GPU.
-They appear only next to scenes of that data set, and no difference to them is tested. The order of
-the recipes can be compared: pairs in the opposite order are listed.
+They appear only next to scenes of that data set, and no difference to them is tested.
 """
 
 from __future__ import annotations
@@ -14,10 +13,8 @@ from dataclasses import dataclass
 
 from framework.metrics.values import AVERAGE
 from framework.registry import SWEPT
-from framework.report.statistics.compare import compare
-from framework.report.statistics.numbers import ABSENT, average, format_difference, format_mean
-from framework.report.statistics.outcomes import by_pair
-from framework.report.study.methods import Method, recipe_of
+from framework.report.statistics.numbers import ABSENT, average, format_mean
+from framework.report.study.methods import recipe_of
 from framework.report.study.published import Published, literature
 from framework.report.study.study import ReportRun, Study
 from framework.report.tables import Row, without
@@ -27,20 +24,14 @@ LLFF, DTU = "LLFF", "DTU"
 DATA_SETS = {"llff": LLFF, "dtu": DTU, "mip360": "Mip-NeRF 360"}  # by loader
 OF_SCENE = "By others on this scene"
 AVGE_THERE, AVGE_HERE = "AVGE by others on this scene", "AVGE here"
-REVERSED, OVER = "Published above", "but below here (dB as published, dB here)"
 
 
 @dataclass(frozen=True)
 class Recipes:
-    """The recipes of a scene.
-
-    Attributes:
-        reversals: pairs in the opposite order of the published one.
-    """
+    """The recipes of a scene."""
 
     scene: str
     rows: list[Row]
-    reversals: list[Row]
 
 
 def data_set(study: Study, scene: str) -> str:
@@ -70,7 +61,7 @@ def recipes(study: Study) -> list[Recipes]:
         rows = [_row(entry, runs.get(entry.recipe, []), others, on) for entry in shown]
         rare = (OF_SCENE, AVGE_THERE, AVGE_HERE)
         empty = [name for name in rare if all(row[name] == ABSENT for row in rows)]
-        tables.append(Recipes(scene, without(rows, *empty), _reversals(shown, runs, on)))
+        tables.append(Recipes(scene, without(rows, *empty)))
     return tables
 
 
@@ -114,36 +105,6 @@ def _row(
 
 def _joined(rows: Sequence[Mapping[str, str]], key: str) -> str:
     return ", ".join(row[key] for row in rows if row.get(key)) or ABSENT
-
-
-def _reversals(
-    entries: Sequence[Published], runs: Mapping[str, Sequence[ReportRun]], on: str
-) -> list[Row]:
-    """For each recipe, the recipes above it in this study and below it as published."""
-    measured = {recipe: by_pair(repeats) for recipe, repeats in runs.items()}
-    # a recipe that ran in several ways has no single published value
-    once = {recipe for recipe, repeats in runs.items() if len(measured[recipe]) == len(repeats)}
-    printed = {
-        e.recipe: float(p)
-        for e in entries
-        if e.recipe in once and (p := e.data_sets.get(on, {}).get("published"))
-    }
-    titles = {entry.recipe: entry.title for entry in entries}
-    rows: list[Row] = []
-    for recipe, published in printed.items():
-        pairs = []
-        for other in [name for name, value in printed.items() if value < published]:
-            methods = Method(recipe=recipe), Method(recipe=other)
-            c = compare(methods[0], measured[recipe], methods[1], measured[other])
-            if c is not None and c.difference < 0:
-                here_psnr = format_difference(c.difference) + (
-                    " significant" if c.significant else ""
-                )
-                there = format_difference(published - printed[other])
-                pairs.append(f"{titles[other]} ({there}, {here_psnr})")
-        if pairs:
-            rows.append({REVERSED: titles[recipe], OVER: "; ".join(pairs)})
-    return rows
 
 
 def mean_rows(study: Study) -> list[Row]:

@@ -39,9 +39,8 @@ LONG = 12  # rows, from which on the page folds a table on a narrow screen
 MANY = 12  # scenes, from which on Markdown folds what is about one scene
 LEFT = {  # headings of columns of words
     *("Scene", "Method", "Compared with", "Parameters", "Folder", "Capacity", "View", "Video"),
-    *("Run", "Kind", "Reason", "Again", "Option", "Options", "What", "Recipe", "Each draw (dB)"),
-    *("Study", "Use", "Why", "Result", "Published above"),
-    "but below here (dB as published, dB here)",
+    *("Run", "Kind", "Reason", "Again", "Option", "Options", "What", "Recipe"),
+    *("Study", "Use", "Why", "Result"),
 }
 TEX = {
     **{character: f"\\{character}" for character in "&%$#_{}"},

@@ -90,21 +90,11 @@ class Limit:
 
 def panels(study: Study) -> list[Panel]:
     """The panels of a study of stresses; none if one of its tested runs is in no panel."""
-    every, rich = _found(study)
-    return next((complete for complete in (rich, every) if _holds(complete, study)), [])
-
-
-def panels_beside(study: Study) -> list[Panel]:
-    """The panels of a study that has other scenes too."""
-    return [] if panels(study) else _found(study)[1]
-
-
-def _found(study: Study) -> tuple[list[Panel], list[Panel]]:
-    """All panels, and those with `FEWEST_LEVELS`."""
     every = [p for axis in STRESSES for p in _panels_along(study, axis)]
     names = file_names(panel.title for panel in every)
-    result = [replace(p, file=f"stress_{names[p.title]}_{p.axis.short}") for p in every]
-    return result, [panel for panel in result if len(panel.levels) >= FEWEST_LEVELS]
+    every = [replace(p, file=f"stress_{names[p.title]}_{p.axis.short}") for p in every]
+    rich = [panel for panel in every if len(panel.levels) >= FEWEST_LEVELS]
+    return next((complete for complete in (rich, every) if _holds(complete, study)), [])
 
 
 def _holds(subset: Sequence[Panel], study: Study) -> bool:

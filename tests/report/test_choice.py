@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from framework.report import build_report
-from framework.report.costs import choices, entries, paying, smallest, train_s
+from framework.report.costs import choices, entries, paying, train_s
 from framework.report.findings import contests
 from framework.report.statistics.compare import block
 from framework.report.statistics.outcomes import outcomes
@@ -193,9 +190,8 @@ def test_a_stress_on_one_scene_hides_no_other(tmp_path: Path) -> None:
                          run_name=f"{augment}{views}-{seed}")  # fmt: skip
             fake_run(tmp_path, augment, seed=seed, gain=3.0 * (augment == "safi"), scene="fern")
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "## Comparisons" in text and "### Along a stress" in text
+    assert "## Comparisons" in text
     assert "on these 4 conditions of 2 scenes" in text.split("\n\n")[1]
-    assert "fox, along training views" in text
 
 
 def test_a_stress_with_one_seed_at_one_strength_keeps_the_others(tmp_path: Path) -> None:
@@ -251,25 +247,3 @@ def test_all_views_are_counted_in_a_table(tmp_path: Path) -> None:
     report = build_report(tmp_path)
     with (report.parent / "runs.csv").open(encoding="utf-8") as file:
         assert sorted(one["scene.n_views"] for one in csv.DictReader(file)) == ["1", "2"]
-
-
-@pytest.mark.parametrize(
-    ("sizes", "expected"),
-    [((16000, 4000, 9), "b"), ((4000, 16000, 9), "a"), ((100, 101, 100), None)],
-)
-def test_the_smallest_of_the_good_is_named(
-    tmp_path: Path, sizes: tuple[int, ...], expected: str | None
-) -> None:
-    """Within 0.1 dB of the best; models of one size need no sentence."""
-    levels = {"none + none": 25.1, "none + none, reg.x=b": 25.05, "none + none, reg.x=c": 24.5}
-    rows = [
-        row("s", method, 0, str(psnr), gaussians=n)
-        for (method, psnr), n in zip(levels.items(), sizes, strict=True)
-    ]
-    names = dict(zip("abc", levels, strict=True))
-    actual = entries(collect(table(tmp_path, rows)), "s")
-    sized = [replace(entry, megabytes=float(entry.gaussians)) for entry in actual]
-    answer = smallest(sized)
-    assert (answer and answer.entry.method.label.partition(", ")[2]) == (
-        expected and names[expected].partition(", ")[2]
-    )

@@ -14,7 +14,7 @@ import pytest
 from framework.report import build_report
 from framework.report.export import comparisons_tex
 from framework.report.figures import pictures
-from framework.report.figures.chart import Band, Chart, Point, Series, draw
+from framework.report.figures.chart import Chart, Point, Series, draw
 from framework.report.figures.charts import cost_charts
 from framework.report.figures.forest import Forest, Row, limits
 from framework.report.figures.forest import draw as draw_forest
@@ -80,11 +80,10 @@ def test_names_of_any_length_stay_inside_the_figure() -> None:
 
 
 def test_a_long_legend_leaves_the_chart_its_room() -> None:
-    band = Band("single runs of none + none (mean ± 2 σ)", 19.0, 21.0)
-    for words, shifted in (("a method with a name of several words", None), ("short", band)):
+    for words in ("a method with a name of several words", "short"):
         names = [f"{number} {words}" for number in range(30)]
         ours = [Series(n, k, (Point(float(k), 20.0, 19.0, 21.0),)) for k, n in enumerate(names)]
-        figure = draw([Chart("c", "t", "x", "y", tuple(ours), band=shifted)])
+        figure = draw([Chart("c", "t", "x", "y", tuple(ours))])
         height = figure.axes[0].get_position().height * figure.get_size_inches()[1]
         assert height > 1.5  # inches
 
@@ -100,10 +99,9 @@ def test_many_methods_share_a_chart(tmp_path: Path) -> None:
 
 def test_an_axis_does_not_magnify_noise() -> None:
     points = (Point(1, 20.00, 19.999, 20.001), Point(2, 20.004, 20.003, 20.005))
-    chart = Chart("c", "t", "x", "y", (Series("s", 0, points),), min_span=1.0,
-                  band=Band("seeds", 19.99, 20.01))  # fmt: skip
+    chart = Chart("c", "t", "x", "y", (Series("s", 0, points),), min_span=1.0)
     low, high = draw([chart]).axes[0].get_ylim()
-    assert high - low == pytest.approx(1.0) and low < 19.99 < 20.01 < high
+    assert high - low == pytest.approx(1.0) and low < 20.0 < high
 
 
 def test_only_real_gains_are_ringed(tmp_path: Path) -> None:
@@ -113,7 +111,6 @@ def test_only_real_gains_are_ringed(tmp_path: Path) -> None:
     ((chart,), *_) = cost_charts(collect(tmp_path), "embedded")
     ringed = {series.name for series in chart.series if series.ringed}
     assert ringed == {"Baseline", "SAFI"}
-    assert chart.band is not None and chart.band.low < 24.5 < chart.band.high
     assert chart.min_span == 1.0
 
 

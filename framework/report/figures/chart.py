@@ -87,15 +87,6 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Band:
-    """A grey band from low to high."""
-
-    name: str
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
 class Chart:
     """Series on one pair of axes.
 
@@ -117,7 +108,6 @@ class Chart:
     dodge: bool = False
     y_zero: bool = False
     min_span: float = 0.0
-    band: Band | None = None
 
 
 @dataclass(frozen=True)
@@ -214,7 +204,6 @@ def draw(charts: Sequence[Chart]) -> Figure:
     """The charts below each other with one legend; they share their series' names."""
     with matplotlib.rc_context(STYLE):
         names = {s.name for chart in charts for s in chart.series if not s.faint}
-        names |= {chart.band.name for chart in charts if chart.band is not None}
         legend = LEGEND_ROW * _legend_rows(names)
         height = max(2.9, LEAST_AXES) * len(charts) + legend
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
@@ -283,11 +272,6 @@ def _draw_chart(axes: Axes, chart: Chart, marks: Marks) -> None:
     axes.grid(alpha=0.3, linewidth=0.6)
     if chart.reverse_x:
         axes.invert_xaxis()
-    if chart.band is not None:
-        axes.axhspan(
-            chart.band.low, chart.band.high, color="0.9", zorder=0, linewidth=0,
-            label=textwrap.fill(chart.band.name, LEGEND_CHARACTERS),
-        )  # fmt: skip
     low, high = axes.get_ylim()
     missing = chart.min_span - (high - low)
     if missing > 0:

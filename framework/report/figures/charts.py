@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-
-import numpy as np
+from dataclasses import replace
 
 from framework.options import members_of
 from framework.report.costs import Entry, differs, entries, front, gaussians, megabytes, paying
 from framework.report.costs import train_s as seconds_of
-from framework.report.figures.chart import MIN_SPAN_DB, Band, Chart, Point, Series
-from framework.report.figures.palette import LIGHT, looks
+from framework.report.figures.chart import MIN_SPAN_DB, Chart, Point, Series
+from framework.report.figures.palette import looks
 from framework.report.figures.views import shown_methods
 from framework.report.statistics.estimates import spread
 from framework.report.statistics.outcomes import by_pair
@@ -20,12 +19,9 @@ from framework.report.study.methods import Method
 from framework.report.study.study import ReportRun, Study
 
 THIN_SEEDS = 12
-MOST_PANELS = 6  # charts of methods below each other in one figure
 LOG_FROM = 4  # ratio of costs from which an axis is logarithmic; a smaller one has too few ticks
-SAME_SIZE = 0.02  # model sizes that differ by a smaller share count as equal
 TIME_LABEL = "training time (s, wall clock, without evaluation)"
 PSNR_LABEL = "test PSNR (dB)"
-FIXED = "capacity=fixed"
 Evaluations = dict[int, tuple[float, float]]  # step -> seconds, test PSNR (dB)
 
 
@@ -102,92 +98,50 @@ def cost_charts(study: Study, scene: str) -> list[tuple[Chart, ...]]:
     if len(options) < 2:
         return []
     label = f"training time (s, {'CPU' if study.by_cpu else 'wall clock'})"
-    panels = _panels(options, scene)
     name = study.file_of("tradeoff", scene)
-    time = [_cost_chart(study, options, p, name, label, seconds_of) for p in panels]
+    time = _cost_chart(study, options, scene, name, label, seconds_of)
     name = study.file_of("size", scene)
-    sizes = [
-        _cost_chart(study, options, panel, name, label, cost)
+    sizes = tuple(
+        _cost_chart(study, options, scene, name, label, cost)
         for label, cost in (("Gaussians", gaussians), ("file size (MB)", megabytes))
         if differs([cost(entry) for entry in options])
-        for panel in panels
-    ]
-    return [tuple(time), *([tuple(sizes)] if sizes else [])]
-
-
-def _capacity(method: Method) -> str:
-    """The capacity plugin, where it differs; its options are budgets."""
-    return "=".join(method.capacity[0]) if method.capacity else ""
-
-
-def _panels(options: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str]]]:
-    """Return (title, names of the series by the index of their entries) of every chart.
-
-    If there are enough colours, it is one chart with a series per method and capacity. Otherwise it
-    is a chart per method, with its capacities as series. If methods or capacities are too many for
-    that, it is a series per method.
-    """
-    families = {k: entry.method.family.name for k, entry in enumerate(options)}
-    kinds = {k: _capacity(entry.method) for k, entry in enumerate(options)}
-    names = {k: ", ".join(filter(None, (families[k], kinds[k]))) for k in families}
-    if len(set(names.values())) <= len(LIGHT):
-        return [(scene, names)]
-    kinds = {k: kind or FIXED for k, kind in kinds.items()}
-    several = 1 < len(set(kinds.values())) <= len(LIGHT)
-    if not several or len(set(families.values())) > MOST_PANELS:
-        return [(scene, families)]
-    return [
-        (f"{scene}, {family}", {k: kinds[k] for k in kinds if families[k] == family})
-        for family in dict.fromkeys(families.values())
-    ]
+    )
+    return [(time,), *([sizes] if sizes else [])]
 
 
 def _cost_chart(
     study: Study,
     options: Sequence[Entry],
-    panel: tuple[str, dict[int, str]],
+    title: str,
     name: str,
     x_label: str,
     cost: Callable[[Entry], float],
 ) -> Chart:
-    """A series of `panel` connects its undominated entries; dominated ones are faint. Entries
-    that are worth their time among all of the scene are ringed.
+    """A series for each method and capacity connects its undominated entries; dominated ones are
+    faint. Entries that are worth their time among all of the scene are ringed.
     """
     ringed = set(paying(options, cost))
-    title, shown = panel
-    families = {family.name: family for family in study.families}
-    whole = set(shown.values()) <= set(families)
-    order = list(families) if whole else list(dict.fromkeys(shown.values()))
-    numbers = looks(families[label].label if label in families else label for label in order)
+    kinds = [_without_limits(entry.method) for entry in options]
+    numbers = looks(kind.label for kind in kinds)
     series = []
-    for label in order:
-        indices = [k for k, of in shown.items() if of == label]
+    for kind in dict.fromkeys(kinds):
+        indices = [k for k, of in enumerate(kinds) if of == kind]
         best = [indices[k] for k in front([options[k] for k in indices], cost)]
-        look = numbers[families[label].label if label in families else label]
-        index = study.families.index(families[label]) if label in families else None
+        look, index = numbers[kind.label], study.families.index(kind.family)
         rings = tuple(i for i, k in enumerate(best) if k in ringed)
         points = tuple(_cost_point(options[k], cost) for k in best)
-        series.append(Series(label, look, points, index, joined=len(points) > 1, ringed=rings))
+        series.append(Series(kind.name, look, points, index, joined=len(points) > 1, ringed=rings))
         rest = tuple(_cost_point(options[k], cost) for k in indices if k not in best)
         if rest:
-            series.append(Series(label, look, rest, index, faint=True, joined=False))
+            series.append(Series(kind.name, look, rest, index, faint=True, joined=False))
     costs = [cost(entry) for entry in options]
     log_x = 0 < LOG_FROM * min(costs) < max(costs)
-    drawn = tuple(s for s in series if s.points)
-    return Chart(
-        name, title, x_label, PSNR_LABEL, drawn, log_x, min_span=MIN_SPAN_DB,
-        band=_band(study, options),
-    )  # fmt: skip
+    return Chart(name, title, x_label, PSNR_LABEL, tuple(series), log_x, min_span=MIN_SPAN_DB)
 
 
-def _band(study: Study, options: Sequence[Entry]) -> Band | None:
-    """The range of single runs of the baseline, if it has one budget."""
-    for entry in options:
-        method, sd = entry.method, entry.psnr.sd
-        if method == study.baseline and sd is not None and not method.budget:
-            name = f"single runs of {method} (mean ± 2 σ)"
-            return Band(name, entry.psnr.mean - 2 * sd, entry.psnr.mean + 2 * sd)
-    return None
+def _without_limits(method: Method) -> Method:
+    """The method with its capacity alone, whose options are budgets."""
+    return replace(method.family, capacity=method.capacity[:1])
 
 
 def _cost_point(entry: Entry, cost: Callable[[Entry], float]) -> Point:
@@ -199,10 +153,7 @@ def _cost_point(entry: Entry, cost: Callable[[Entry], float]) -> Point:
 def stress_charts(
     study: Study, panel: Panel, limits: Sequence[Limit], against: str
 ) -> tuple[Chart, ...]:
-    """PSNR and gain against the strength with 95 % intervals over seeds.
-
-    A third chart shows the number of Gaussians where a capacity changes it.
-    """
+    """PSNR and gain against the strength with 95 % intervals over seeds."""
     numbers = looks(method.label for method in study.methods)
 
     def series(method: Method, points: Sequence[Point]) -> Series:
@@ -230,21 +181,7 @@ def stress_charts(
     charts = [chart(panel.title, PSNR_LABEL, psnr, False, MIN_SPAN_DB)]
     if gain:
         charts.append(chart("", f"gain over {against} (dB)", gain, True, MIN_SPAN_DB))
-    counts = {
-        method: {v: [float(run.record.gaussians) for run in r] for v, r in by_level.items() if r}
-        for method, by_level in levels.items()
-    }
-    if _grows(panel, counts):
-        sizes = [series(method, _points(by_level)) for method, by_level in counts.items()]
-        charts.append(chart("", "Gaussians", sizes, False, 0.0))
     return tuple(charts)
-
-
-def _grows(panel: Panel, counts: dict[Method, dict[float, list[float]]]) -> bool:
-    """Whether the size of a model changes along the stress, and not as its start alone."""
-    means = [[float(np.mean(n)) for n in by_level.values()] for by_level in counts.values()]
-    changes = any(max(means_of) > (1 + SAME_SIZE) * min(means_of) for means_of in means)
-    return changes and any(r.record.methods.get("capacity") != "fixed" for r in panel.all_runs)
 
 
 def _points(values: dict[float, list[float]]) -> list[Point]:

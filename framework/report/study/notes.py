@@ -85,27 +85,12 @@ def constant(study: Study) -> dict[str, list[Method]]:
 
 def code_versions(sources: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """Name -> number of versions of the code, or of a plugin, if there are several."""
-    # older records hash the user's plugins into `code`, so take their commit's code instead
-    of_commit = {_commit(p): str(p.get("code")) for p in sources if not _with_plugins(p)}
     versions = defaultdict[str, set[str]](set)
     for p in sources:
-        hashed = str(p.get("code"))
-        key = of_commit.get(_commit(p), hashed) if _with_plugins(p) else hashed
-        versions["the code"].add(key)
+        versions["the code"].add(str(p.get("code")))
         for name, digest in (p.get("plugins") or {}).items():
             versions[code(name)].add(digest)
     return {name: len(digests) for name, digests in versions.items() if len(digests) > 1}
-
-
-def _commit(source: Mapping[str, Any]) -> str:
-    """The commit, "" without one or with local changes."""
-    git = source.get("git")
-    return str(git["sha"]) if git and not git["dirty"] else ""
-
-
-def _with_plugins(source: Mapping[str, Any]) -> bool:
-    """Whether `code` includes the user's plugins."""
-    return "own_plugins" in source and "plugins" not in source and bool(_commit(source))
 
 
 def machines(study: Study) -> tuple[list[str], dict[str, list[ReportRun]]]:
