@@ -25,7 +25,7 @@ from framework.report.figures.chart import Picture, chart_picture
 from framework.report.figures.charts import cost_charts, curves, has_members, stress_charts
 from framework.report.figures.forest import forest_of, forest_picture
 from framework.report.figures.pictures import draw_closeup, remove_pictures
-from framework.report.figures.views import DamagedRun, damaged_pictures, own_scenes
+from framework.report.figures.views import own_scenes
 from framework.report.findings import Findings, cost_of, find, largest_effect
 from framework.report.gallery import gallery
 from framework.report.provenance import provenance
@@ -74,7 +74,8 @@ def build_report(
 ) -> Path:
     """Write the report of all runs below the folders.
 
-    A run whose files are damaged counts as failed. Pictures of an earlier report are removed.
+    A run whose record or tables are damaged counts as failed. Pictures of an earlier report are
+    removed.
 
     Args:
         study_dirs: folders with runs or with an archive of runs.
@@ -101,16 +102,10 @@ def built(
     rival: str = "",
 ) -> Report:
     """As `build_report`, with the study and the verdict."""
-    broken: dict[Path, str] = {}
-    while True:  # each time without another run; twice at most, except for forged sizes
-        study = collect(study_dirs, out_dir, broken, rival)
-        if out_dir is None:
-            _keep_fuller_report(study)
-        study = replace(study, linked=study.linked and photos)
-        try:
-            return _build(study, title, photos)
-        except DamagedRun as error:
-            broken |= damaged_pictures(study) or {error.run_dir: str(error)}
+    study = collect(study_dirs, out_dir, rival)
+    if out_dir is None:
+        _keep_fuller_report(study)
+    return _build(replace(study, linked=study.linked and photos), title, photos)
 
 
 def _keep_fuller_report(study: Study) -> None:
@@ -141,7 +136,7 @@ def _keep_other_archive(study: Study) -> None:
 
 
 def _build(study: Study, title: str | None, photos: bool) -> Report:
-    """The report of a study. Raises DamagedRun for a run with a damaged picture."""
+    """The report of a study. Raises UserError for a run with a damaged picture."""
     _keep_other_archive(study)
     make_folder(study.out_dir)
     visible = study.scenes if photos else own_scenes(study)

@@ -17,7 +17,7 @@ from typing import Any
 from framework.files.limits import IMAGE_BYTES
 from framework.files.opened import is_file, read_bytes
 from framework.records.run_files import VIDEOS, VIEW
-from framework.report.figures.views import choose_views, image_file, picture, psnr_text, reading
+from framework.report.figures.views import choose_views, image_file, picture, psnr_text
 from framework.report.render import data_uri, webp_bytes
 from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import outside
@@ -103,8 +103,7 @@ def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int
             run, file = next(((r, f) for r, f in files if is_file(f)), (None, None))
             if run is None or file is None or file.stat().st_size > min(VIDEO_BYTES, left):
                 continue
-            with reading(run):
-                content = read_bytes(file, VIDEO_BYTES)
+            content = read_bytes(file, VIDEO_BYTES)
             left -= len(content)
             yield scene, method.name, run.seed, data_uri(content, VIDEO_TYPES[file.suffix])
 
@@ -133,8 +132,7 @@ def _add(
     longest: int = LONGEST,
 ) -> int:
     """Index of the image's copy; equal files are kept once if `copies` is given."""
-    with reading(run):
-        original = read_bytes(image_file(run, view, kind), IMAGE_BYTES)
+    original = read_bytes(image_file(run, view, kind), IMAGE_BYTES)
     if copies is not None and original in copies:
         return copies[original]
     copy = webp_bytes(picture(run, view, kind), longest)

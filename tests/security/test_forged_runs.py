@@ -16,6 +16,7 @@ import yaml
 from PIL import Image
 
 from framework.command.cli import main as command
+from framework.errors import UserError
 from framework.files.limits import RUNS
 from framework.report.build import build_report
 from framework.report.study.collect import collect
@@ -123,8 +124,6 @@ DAMAGED: dict[str, tuple[Forge, str]] = {
         "summary.psnr is",
     ),
     "record pipe": (_pipe("record.json"), "record.json: expected a regular file, got a pipe"),
-    "render gone": (lambda r: (r / "renders/test_01.png").unlink(), "found none"),
-    "thin pictures": (_pictures(1, 60_000), "sides of at most 1:40, got 1x60000"),
     "infinite PSNR": (_cell("metrics.csv", "psnr", "inf"), "psnr is 'inf'"),
     "long view": (_cell("metrics.csv", "view", "v" * 300), "view is 'vvv"),
 }
@@ -178,14 +177,21 @@ def test_odd_runs_break_no_report(study: Path, name: str) -> None:
         assert text.count(f"(runs/embedded-{method}-s") == 2
 
 
-def test_pictures_of_another_size_are_the_odd_run_s(study: Path) -> None:
-    for seed in (2, 3):
-        fake_run(study, seed=seed)
-    run = study / "runs" / "embedded-none-none-s0"  # the first by name, not the usual one
-    _pictures(50, 50)(run)
-    text = build_report(study).read_text(encoding="utf-8")
-    (row,) = [line for line in text.splitlines() if "| damaged |" in " ".join(line.split())]
-    assert "embedded-none-none-s0" in row and "expected pictures of" in row and "got 50x50" in row
+@pytest.mark.parametrize(
+    ("forge", "message"),
+    [
+        (lambda run: (run / "renders/test_01.png").unlink(), "expected a file or folder, found"),
+        (_pictures(1, 60_000), "sides of at most 1:40, got 1x60000"),
+        (_pictures(50, 50), "expected .* as the photo, got 50x50"),
+    ],
+)
+def test_a_damaged_picture_ends_the_report_in_one_line(
+    study: Path, forge: Forge, message: str
+) -> None:
+    forge(study / "runs" / "x")
+    with pytest.raises(UserError, match=message) as caught:
+        build_report(study)
+    assert "\n" not in str(caught.value) and "runs/x/renders" in str(caught.value)
 
 
 def test_a_study_of_broken_runs_alone_is_reported(tmp_path: Path) -> None:

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from framework.errors import require
 from framework.files.whole import write_whole
 from framework.records.run_files import ERROR_SCALE
 from framework.report.figures.chart import Picture
 from framework.report.figures.grid import COLUMNS, Band, Cell, draw_band
-from framework.report.figures.views import check_size, choose_views, picture, psnr_text
+from framework.report.figures.views import choose_views, image_file, picture, psnr_text
 from framework.report.study.study import Study
 from framework.report.study.words import listed, outside
 
@@ -42,7 +43,12 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
     for run in shown.runs:
         for kind, pictures in (("render", renders), ("error", errors)):
             pictures.append(picture(run, view, kind))
-            check_size(run, view, pictures[-1].shape, truth.shape)
+            size = pictures[-1].shape
+            require(
+                size == truth.shape,
+                f"{image_file(run, view, kind)}: expected {truth.shape[1]}x{truth.shape[0]} as the"
+                f" photo, got {size[1]}x{size[0]}; run again, or remove the run's folder",
+            )
     window = _window(renders if len(renders) > 1 else [truth, *renders])
     groups: list[tuple[Cell, ...]] = []
     for k in range(0, len(shown.runs), BESIDE):

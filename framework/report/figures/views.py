@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from framework.errors import UserError
+from framework.errors import require
 from framework.files.paths import inside
 from framework.records.run_files import RENDERS
 from framework.report.statistics.numbers import average
@@ -20,7 +17,6 @@ from framework.report.study.methods import Method
 from framework.report.study.study import ReportRun, Study
 from framework.scenes.images import read_image
 
-KINDS = ("render", "truth", "error")
 MOST_STRETCH = 40  # of a picture: one that is thinner would fill pages
 EMBEDDED = "embedded"  # the name of the only scene whose pictures are ours
 
@@ -64,76 +60,21 @@ def choose_views(study: Study, scene: str) -> ShownViews:
 
 
 def image_file(run: ReportRun, view: str, kind: str) -> Path:
-    """kind: one of `KINDS`. Raises UserError where that leads out of the run."""
+    """kind: render, truth or error. Raises UserError where that leads out of the run."""
     suffix = "" if kind == "render" else f"_{kind}"
     return inside(run.run.run_dir, f"{RENDERS}/{run.files[view]}{suffix}.png")
 
 
-class DamagedRun(UserError):
-    """A picture of the run in the folder `run_dir` is not what a run writes."""
-
-    def __init__(self, run_dir: Path, message: str) -> None:
-        super().__init__(message)
-        self.run_dir = run_dir
-
-
-@contextmanager
-def reading(run: ReportRun) -> Iterator[None]:
-    """What is wrong with a file of the run, as DamagedRun."""
-    try:
-        yield
-    except DamagedRun:
-        raise
-    except UserError as error:
-        raise DamagedRun(run.run.run_dir, str(error)) from None
-
-
 def picture(run: ReportRun, view: str, kind: str) -> np.ndarray:
-    """[H, W, 3] uint8 of the file `image_file`. Raises DamagedRun."""
-    with reading(run):
-        pixels = read_image(image_file(run, view, kind))
+    """[H, W, 3] uint8 of the file `image_file`. Raises UserError for another file."""
+    file = image_file(run, view, kind)
+    pixels = read_image(file)
     height, width = pixels.shape[:2]
-    if max(height, width) > MOST_STRETCH * min(height, width):
-        raise DamagedRun(
-            run.run.run_dir,
-            f"{image_file(run, view, kind)}: expected sides of at most 1:{MOST_STRETCH}, got"
-            f" {width}x{height}; run again",
-        )
+    require(
+        max(height, width) <= MOST_STRETCH * min(height, width),
+        f"{file}: expected sides of at most 1:{MOST_STRETCH}, got {width}x{height}; run again",
+    )
     return pixels
-
-
-def damaged_pictures(study: Study) -> dict[Path, str]:
-    """The folders of the runs with a picture that is none, or of another size than most runs have
-    it on that scene; and why."""
-    damaged: dict[Path, str] = {}
-    sizes: dict[tuple[str, str], Counter[tuple[int, ...]]] = defaultdict(Counter)
-    values: dict[tuple[Path, str, str], tuple[int, ...]] = {}
-    for run in study.runs:
-        try:
-            for view, kind in product(run.files, KINDS):
-                size = picture(run, view, kind).shape
-                sizes[run.scene, view][size] += 1
-                values.setdefault((run.run.run_dir, run.scene, view), size)
-                if size != values[run.run.run_dir, run.scene, view]:
-                    raise DamagedRun(run.run.run_dir, f"{view}: expected pictures of one size")
-        except DamagedRun as error:
-            damaged[error.run_dir] = str(error)
-    for (run_dir, scene, view), size in values.items():
-        usual = sizes[scene, view].most_common(1)[0][0]
-        if size != usual:
-            damaged.setdefault(run_dir, _odd(view, size, usual))
-    return damaged
-
-
-def check_size(run: ReportRun, view: str, size: tuple[int, ...], usual: tuple[int, ...]) -> None:
-    """Raise DamagedRun unless the run's picture has the size that others of its scene have."""
-    if size != usual:
-        raise DamagedRun(run.run.run_dir, _odd(view, size, usual))
-
-
-def _odd(view: str, size: tuple[int, ...], usual: tuple[int, ...]) -> str:
-    got, expected = (f"{shape[1]}x{shape[0]}" for shape in (size, usual))
-    return f"{RENDERS}: expected pictures of {view} of {expected} as others, got {got}; run again"
 
 
 def psnr_of(run: ReportRun, view: str) -> float | None:

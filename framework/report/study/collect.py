@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from types import MappingProxyType
 
 from framework.errors import UserError, os_line, printable_line, require
 from framework.files.limits import RUNS
@@ -24,13 +23,11 @@ from framework.report.study.study import DAMAGED, FailedRun, ReportRun, Study
 from framework.report.study.words import code, natural
 
 DEPTH = 12  # folders between a study and its runs; links are not followed
-NOTHING: Mapping[Path, str] = MappingProxyType({})
 
 
 def collect(
     study_dirs: Path | Sequence[Path],
     out_dir: Path | None = None,
-    broken: Mapping[Path, str] = NOTHING,
     rival: str = "",
 ) -> Study:
     """Read every record below the folders.
@@ -38,14 +35,13 @@ def collect(
     Args:
         study_dirs: folders with runs, or with their archive (`framework.records.archive`).
         out_dir: folder of the report; by default the first folder.
-        broken: folders of damaged runs with the reason.
         rival: display or registry name of the baseline; "" for training without a method.
 
     Raises:
         UserError: A folder has neither runs nor an archive, or no run is of that baseline.
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
-    runs, failed, origins, archived = _gathered(folders, broken)
+    runs, failed, origins, archived = _gathered(folders)
     labelled, named, naming = _label(runs, failed)
     missing = _missing(labelled, named, origins)
     unique, repeated = _without_repeats(labelled)
@@ -84,13 +80,13 @@ def _rival(text: str, runs: Sequence[ReportRun]) -> Method | None:
 
 
 def _gathered(
-    folders: Sequence[Path], broken: Mapping[Path, str]
+    folders: Sequence[Path],
 ) -> tuple[list[Run], list[FailedRun], list[Path], list[Path]]:
     """Complete runs, failed ones, the folder of each complete one, and the folders whose runs are
     in an archive alone."""
     runs, failed, origins, archived = [], [], [], []
     for folder in folders:
-        complete, lost = _read(folder, broken)
+        complete, lost = _read(folder)
         if not complete and not lost and has_archive(folder):
             complete, lost = _archived(folder)
             archived.append(folder)
@@ -119,7 +115,7 @@ def _failed(run: Run, kind: str, again: str) -> FailedRun:
     return FailedRun(run.run_dir, error, kind, r.overrides, r.config, r.provenance, again)
 
 
-def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[FailedRun]]:
+def _read(folder: Path) -> tuple[list[Run], list[FailedRun]]:
     """All complete and all failed runs below `folder`, by path; one that no run wrote counts as
     failed."""
     complete: list[Run] = []
@@ -134,8 +130,6 @@ def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[Fai
     )
     for path in paths:
         try:
-            if path in broken:
-                raise UserError(broken[path])
             run = _read_run(path)
         except UserError as error:
             run = FailedRun(path, _within(path, error), DAMAGED, (), {}, {})
