@@ -18,7 +18,6 @@ from framework.report.study.methods import (
     by_recipe,
     methods_of,
     recipe_of,
-    shortened,
 )
 from framework.report.study.plugins import BEFORE, papers
 from framework.report.study.published import bibtex
@@ -277,27 +276,6 @@ def test_a_corrupted_depth_is_a_condition_and_no_method() -> None:
 def test_every_scene_has_its_role(names: tuple[str, ...], expected: str) -> None:
     assert {role(name) for name in names} == {expected}
     assert {marked(n, n) == f"{n} °" for n in names} == {expected == CHOSE}
-
-
-def short(*capacities: tuple[tuple[str, str], ...]) -> tuple[list[Any], list[str]]:
-    named, notes = shortened([Method(capacity=options) for options in capacities])
-    return [method.capacity for method in named.values()], notes
-
-
-def test_what_follows_is_left_out_of_a_capacity_and_noted_once() -> None:
-    a, b = (
-        (("capacity", "a"), ("every", every), ("kind", kind), ("until", "1"))
-        for every, kind in (("0.1", "x"), ("0.2", "y"))
-    )
-    actual, notes = short(a, b, (("capacity", "b"),), ())
-    assert actual == [(a[0], a[2]), (b[0], b[2]), (("capacity", "b"),), ()]
-    assert notes[0].startswith(
-        "Short names: capacity=a, kind=x ran with every=0.1 and until=1; capacity=a, kind=y ran"
-    )
-    pairs = [
-        (("capacity", "a"), ("p", p), ("q", q)) for p, q in (("1", "1"), ("1", "2"), ("2", "1"))
-    ]
-    assert short(*pairs) == (pairs, [])
 
 
 OPTIONS = (("trainer.sh_every", "500"),)

@@ -20,7 +20,7 @@ from framework.records.record import METHOD_GROUPS
 from framework.report.study.axes import BUDGETS, DATA_KEYS
 from framework.report.study.plugins import as_variant, title, with_defaults
 from framework.report.study.published import recipe_title
-from framework.report.study.words import Flat, flatten, listed, natural, value_text
+from framework.report.study.words import Flat, flatten, natural, value_text
 
 Option = tuple[str, str]  # name and value, as shown
 BASELINE = "none + none"
@@ -144,8 +144,7 @@ def name_methods(
     recipes = by_recipe(list(zip(methods, overrides, scenes, strict=True)))
     if recipes:
         return Naming([recipes[method] for method in methods], [RECIPE_NOTE])
-    short, notes = shortened(methods)
-    return Naming([short[method] for method in methods], notes)
+    return Naming(methods, [])
 
 
 def methods_of(configs: Sequence[Mapping[str, Any]]) -> list[Method]:
@@ -241,43 +240,6 @@ def _is_the_seed(key: str, configs: Sequence[Flat]) -> bool:
     seeds = {config.get("seed") for config in having}
     equal = all(config[key] == config.get("seed") for config in having)
     return key.endswith("_seed") and len(seeds) > 1 and equal
-
-
-def shortened(methods: Sequence[Method]) -> tuple[dict[Method, Method], list[str]]:
-    """Capacities with fewer options, still one name for each; a note lists what is left out."""
-    by_name: dict[Option, list[tuple[Option, ...]]] = defaultdict(list)
-    for capacity in dict.fromkeys(method.capacity for method in methods if method.capacity):
-        by_name[capacity[0]].append(capacity)
-    short: dict[tuple[Option, ...], tuple[Option, ...]] = {(): ()}
-    notes = []
-    for name, capacities in by_name.items():
-        kept = _distinguishing([dict(capacity[1:]) for capacity in capacities])
-        for capacity in capacities:
-            options = dict(capacity[1:])
-            rest = [f"{key}={value}" for key, value in options.items() if key not in kept]
-            order = [key for key in kept if key in options]
-            short[capacity] = (name, *((key, options[key]) for key in order)) if rest else capacity
-            if rest:
-                text = ", ".join(f"{key}={value}" for key, value in short[capacity])
-                notes.append(f"{text} ran with {listed(rest)}")
-    named = {method: replace(method, capacity=short[method.capacity]) for method in methods}
-    return named, [f"Short names: {'; '.join(notes)}."] if notes else []
-
-
-def _distinguishing(result: Sequence[Mapping[str, str]]) -> list[str]:
-    """Return the keys that distinguish the options, words before numbers.
-
-    A key that follows from another one is left out. All keys are returned if capacities have
-    different ones.
-    """
-    keys = list(dict.fromkeys(key for options in result for key in options))
-    if len(result) < 2 or any(options.keys() != set(keys) for options in result):
-        return keys
-    kept: list[str] = []
-    for key in sorted(keys, key=lambda key: [part[0] for part in natural(result[0][key])] == [0]):
-        if not any(_follows(key, [other], result) for other in kept):
-            kept.append(key)
-    return kept
 
 
 def recipe_of(overrides: Sequence[str]) -> str:
