@@ -1,8 +1,9 @@
 """Gaussians in the PLY layout of 3DGS (Kerbl et al. 2023), which splat viewers open.
 
-Binary little endian, one element `vertex`, all properties float32: `x y z nx ny nz f_dc_0..2
-f_rest_* opacity scale_0..2 rot_0..3`. Stored are the unactivated parameters: logits, log-scales,
-wxyz quaternions. `f_rest` is channel-major: all coefficients of red, then of green, then of blue.
+Written as binary little endian, one element `vertex`, all properties float32: `x y z nx ny nz
+f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`. Stored are the unactivated parameters: logits,
+log-scales, wxyz quaternions. `f_rest` is channel-major: all coefficients of red, then of green,
+then of blue.
 The header comment `background r g b` holds the colour the Gaussians were trained against.
 
 If only the first M of the N Gaussians have SH bands above 0, the PLY has none and the comment
@@ -14,17 +15,16 @@ from __future__ import annotations
 
 import io
 import math
-import os
-import re
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from framework.errors import UserError, require
-from framework.files.limits import PLY_BYTES
-from framework.files.opened import is_file, open_regular
+from framework.files.opened import is_file
+from framework.files.ply import COUNT, read_commented
 from framework.files.whole import write_whole
 
 if TYPE_CHECKING:
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 
     from framework.types import Gaussians
 
-HEADER_LIMIT = 65536  # bytes; no splat header is near it, a file that is no PLY soon is
-COUNT = re.compile(r"\d{1,15}", re.ASCII)
-FLOAT_NAMES = ("float", "float32")
 NORMALS = {"nx", "ny", "nz"}  # written for viewers that expect them, but without a meaning
 BANDS_SHAPES = ((3, 3), (8, 3), (15, 3))  # K - 1 coefficients above degree 0, channels
 REST_COUNTS = {0: 0, 9: 3, 24: 8, 45: 15}  # number of f_rest properties -> coefficients per channel
@@ -132,40 +129,36 @@ def read_splats(path: Path) -> Splats:
     """The content as arrays, without torch.
 
     Raises:
-        UserError: when the file is missing, is no splat PLY, is too large, its size contradicts its
-            header, or it holds NaN or infinity.
+        UserError: if the file is not such a PLY, is damaged, or holds a value that is not finite.
     """
-    with open_regular(path, PLY_BYTES) as file:
-        header = _read_header(file, path)
-        rest = _rest_count(header.names, path)
-        expected = file.tell() + 4 * header.count * len(header.names)
-        size = os.fstat(file.fileno()).st_size
-        require(
-            size == expected,
-            f"{path}: expected {expected} bytes for {header.count} vertices, got {size};"
-            " the file is damaged, write it again",
-        )
-        raw = np.fromfile(file, dtype="<f4").reshape(header.count, len(header.names))
-    columns = {name: index for index, name in enumerate(header.names)}
-    used = [columns[name] for name in property_names(rest) if name not in NORMALS]
-    bad = np.flatnonzero(~np.isfinite(raw[:, used]).all(axis=1))
+    vertices, comments = read_commented(path)
+    names = vertices.dtype.names or ()
+    rest = _rest_count(names, path)
+    used = [name for name in property_names(rest) if name not in NORMALS]
+    finite = np.logical_and.reduce([np.isfinite(vertices[name]) for name in used])
+    bad = np.flatnonzero(~finite)
     require(
         not len(bad),
         f"{path}: expected finite parameters, got NaN or infinity in {len(bad)} vertices (first:"
         f" {bad[0] if len(bad) else ''}); remove them or export the model again",
     )
-    splats = replace(_from_table(raw, columns, rest), background=header.background)
-    return replace(splats, shN=_read_bands(path, header)) if header.banded else splats
+    words = {comment[0]: comment[1:] for comment in comments if comment}
+    background = _background(words["background"], path) if "background" in words else None
+    splats = replace(_from_table(vertices, rest), background=background)
+    banded = words.get("bands", ["0"])[0]
+    if not COUNT.fullmatch(banded) or int(banded) == 0:
+        return splats
+    return replace(splats, shN=_read_bands(path, names, int(banded), len(vertices)))
 
 
-def _read_bands(path: Path, header: _Header) -> np.ndarray:
+def _read_bands(path: Path, names: Sequence[str], m: int, count: int) -> np.ndarray:
     """Read [M, K-1, 3] from the file that the header of `path` names."""
     from framework.files.arrays import read_npy
 
-    bands_file, m = bands_path(path), header.banded
+    bands_file = bands_path(path)
     require(
-        not any(name.startswith("f_rest_") for name in header.names) and 0 < m < header.count,
-        f"{path}: expected 'comment bands M' with 0 < M < {header.count} and no f_rest properties,"
+        not any(name.startswith("f_rest_") for name in names) and 0 < m < count,
+        f"{path}: expected 'comment bands M' with 0 < M < {count} and no f_rest properties,"
         f" got M = {m}; the header is damaged, write the file again",
     )
     require(is_file(bands_file), f"{bands_file}: expected the SH bands of {path.name}, found none")
@@ -190,11 +183,12 @@ def _to_table(gaussians: Gaussians, rest: int) -> np.ndarray:
     return np.ascontiguousarray(np.concatenate(parts, axis=1))
 
 
-def _from_table(raw: np.ndarray, columns: dict[str, int], rest: int) -> Splats:
+def _from_table(vertices: np.ndarray, rest: int) -> Splats:
     def take(*names: str) -> np.ndarray:
-        return raw[:, [columns[name] for name in names]].astype(np.float32, order="C")
+        columns = [vertices[name] for name in names]
+        return np.stack(columns, axis=1).astype(np.float32) if columns else np.zeros((n, 0), "f4")
 
-    n = len(raw)
+    n = len(vertices)
     bands = take(*(f"f_rest_{i}" for i in range(3 * rest))).reshape(n, 3, rest)
     return Splats(
         means=take("x", "y", "z"),
@@ -207,7 +201,7 @@ def _from_table(raw: np.ndarray, columns: dict[str, int], rest: int) -> Splats:
     )
 
 
-def _rest_count(names: tuple[str, ...], path: Path) -> int:
+def _rest_count(names: Sequence[str], path: Path) -> int:
     """Higher SH coefficients per channel of a file with these properties."""
     n_rest = sum(name.startswith("f_rest_") for name in names)
     require(
@@ -222,66 +216,6 @@ def _rest_count(names: tuple[str, ...], path: Path) -> int:
         " this is not a Gaussian splat file",
     )
     return REST_COUNTS[n_rest]
-
-
-@dataclass(frozen=True)
-class _Header:
-    count: int
-    names: tuple[str, ...]
-    background: list[float] | None
-    banded: int
-
-
-def _read_header(file: BinaryIO, path: Path) -> _Header:
-    lines = _header_lines(file, path)
-    require(
-        lines[1:2] == ["format binary_little_endian 1.0"],
-        f"{path}: expected 'format binary_little_endian 1.0', got '{(lines[1:2] or [''])[0][:60]}';"
-        " convert the file",
-    )
-    count: int | None = None
-    names: list[str] = []
-    background: list[float] | None = None
-    banded = 0
-    for line in lines[2:]:
-        match line.split():
-            case ["comment", "background", *values]:
-                background = _background(values, path)
-            case ["comment", "bands", number] if COUNT.fullmatch(number):
-                banded = int(number)
-            case ["comment" | "obj_info", *_]:
-                pass
-            case ["element", "vertex", number] if count is None and COUNT.fullmatch(number):
-                count = int(number)
-            case ["property", kind, name] if count is not None and kind in FLOAT_NAMES:
-                names.append(name)
-            case _:
-                raise UserError(
-                    f"{path}: expected one element 'vertex' with float properties, got"
-                    f" '{line[:60]}'; this is not a Gaussian splat file"
-                )
-    require(
-        count is not None and len(names) == len(set(names)) > 0,
-        f"{path}: expected one 'element vertex' with distinct properties, got {len(names)}"
-        " properties; this is not a Gaussian splat file",
-    )
-    return _Header(count or 0, tuple(names), background, banded)
-
-
-def _header_lines(file: BinaryIO, path: Path) -> list[str]:
-    """The lines before `end_header`; `file` is left at the first data byte."""
-    lines: list[str] = []
-    while file.tell() < HEADER_LIMIT:
-        raw = file.readline(HEADER_LIMIT)
-        line = raw.decode("ascii", errors="replace").strip()
-        if not raw.endswith(b"\n") or (not lines and line != "ply"):
-            break
-        if line == "end_header":
-            return lines
-        lines.append(line)
-    raise UserError(
-        f"{path}: expected a PLY header from 'ply' to 'end_header', got none; not a PLY"
-    )
 
 
 def _background(values: list[str], path: Path) -> list[float]:

@@ -17,9 +17,9 @@ from framework.files.paths import inside
 from framework.scenes.assemble import Tracks, untracked
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.colmap_files import MODELS, Camera, read_files
+from framework.scenes.coloured import read_coloured
 from framework.scenes.lens import Distortion, Lens
 from framework.scenes.options import AUTO
-from framework.scenes.ply_vertices import read_coloured
 
 log = logging.getLogger(__name__)
 

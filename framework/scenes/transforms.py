@@ -138,8 +138,8 @@ class Transforms:
     def _tracks(self, folder: Path, file: Path, frames: list[Frame]) -> Tracks:
         """Read the points, with their tracks over all frames."""
         from framework.scenes.assemble import Tracks, untracked
+        from framework.scenes.coloured import read_coloured
         from framework.scenes.model_points import colmap_tracks
-        from framework.scenes.ply_vertices import read_coloured
         from framework.scenes.transforms_file import read_extras
 
         if self.points == "none":

@@ -23,11 +23,11 @@ from framework.errors import UserError
 from framework.files import limits
 from framework.files.archives import open_zip
 from framework.files.arrays import read_npy, read_npz
+from framework.files.ply import read_vertices
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply
 from framework.records.record import read_record, read_run
 from framework.scenes.images import list_images, read_image
-from framework.scenes.ply_vertices import read_vertices
 from tests.built import load_scene
 from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run

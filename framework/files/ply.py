@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from framework.errors import UserError, require
 from framework.files.limits import PLY_BYTES
-from framework.files.opened import is_file, open_regular
-from framework.scenes.cameras import near_points
+from framework.files.opened import open_regular
 
 HEADER_BYTES = 65536
 KINDS = {
@@ -28,7 +27,6 @@ KINDS = {
     **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
 }
 ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
-COLUMNS = ("x", "y", "z", "red", "green", "blue")  # of coloured points
 COUNT = re.compile(r"\d{1,15}", re.ASCII)
 
 
@@ -36,6 +34,7 @@ COUNT = re.compile(r"\d{1,15}", re.ASCII)
 class _Header:
     """begin: of the body, in bytes. before: rows (text) or bytes before the vertices."""
 
+    comments: list[list[str]]
     begin: int
     before: int
     count: int
@@ -44,7 +43,12 @@ class _Header:
 
 
 def read_vertices(path: Path) -> NDArray[Any]:
-    """[count] structured array of the vertices.
+    """[count] structured array of the vertices; see `read_commented`."""
+    return read_commented(path)[0]
+
+
+def read_commented(path: Path) -> tuple[NDArray[Any], list[list[str]]]:
+    """[count] structured array of the vertices, and the words of the comments.
 
     Raises:
         UserError: for a file without vertices.
@@ -61,36 +65,9 @@ def read_vertices(path: Path) -> NDArray[Any]:
         )
         if header.text:
             file.seek(header.begin)
-            return _text_rows(path, header, file.read())
+            return _text_rows(path, header, file.read()), header.comments
         file.seek(header.begin + header.before)
-        return np.fromfile(file, header.dtype, header.count)
-
-
-def read_coloured(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Read positions [M, 3] and uchar colours [M, 3].
-
-    Raises:
-        UserError: if the file lacks them.
-    """
-    require(
-        is_file(path),
-        f"{path}: expected a PLY file of coloured points, found none; correct scene.points",
-    )
-    vertices = read_vertices(path)
-    lacks = [name for name in COLUMNS if name not in (vertices.dtype.names or ())]
-    require(
-        not lacks,
-        f"{path}: expected a PLY file of coloured points ({' '.join(COLUMNS)}), got none with"
-        f" {' '.join(lacks)}; correct scene.points",
-    )
-    xyz = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    rgb = np.stack([vertices[colour] for colour in COLUMNS[3:]], axis=1)
-    require(
-        rgb.dtype == np.uint8,
-        f"{path}: expected colours of type uchar, got {rgb.dtype}; convert the file",
-    )
-    good = near_points(xyz)
-    return xyz[good], rgb[good]
+        return np.fromfile(file, header.dtype, header.count), header.comments
 
 
 def _text_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
@@ -130,7 +107,8 @@ def _header(path: Path, head: bytes) -> _Header:
             require(
                 bool(dtype.names), f"{path}: expected vertices of scalars, got lists or nothing"
             )
-            return _Header(end.end(), before, count, dtype, order is None)
+            comments = [words[1:] for words in lines if words[:1] == ["comment"]]
+            return _Header(comments, end.end(), before, count, dtype, order is None)
         require(
             bool(dtype.names) or count == 0,
             f"{path}: expected scalars before the vertices, got the list element '{name[:40]}';"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from framework.errors import UserError
-from framework.scenes.ply_vertices import read_vertices
+from framework.files.ply import read_vertices
 from tests.scenes.synthetic import write_table
 
 KINDS = [("x", "f4"), ("y", "f8"), ("red", "u1"), ("n", "i4")]

@@ -1,0 +1,42 @@
+"""Coloured points from a PLY file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from framework.errors import require
+from framework.files.opened import is_file
+from framework.files.ply import read_vertices
+from framework.scenes.cameras import near_points
+
+COLUMNS = ("x", "y", "z", "red", "green", "blue")
+
+
+def read_coloured(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Read positions [M, 3] and uchar colours [M, 3].
+
+    Raises:
+        UserError: if the file lacks them.
+    """
+    require(
+        is_file(path),
+        f"{path}: expected a PLY file of coloured points, found none; correct scene.points",
+    )
+    vertices = read_vertices(path)
+    lacks = [name for name in COLUMNS if name not in (vertices.dtype.names or ())]
+    require(
+        not lacks,
+        f"{path}: expected a PLY file of coloured points ({' '.join(COLUMNS)}), got none with"
+        f" {' '.join(lacks)}; correct scene.points",
+    )
+    xyz = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    rgb = np.stack([vertices[colour] for colour in COLUMNS[3:]], axis=1)
+    require(
+        rgb.dtype == np.uint8,
+        f"{path}: expected colours of type uchar, got {rgb.dtype}; convert the file",
+    )
+    good = near_points(xyz)
+    return xyz[good], rgb[good]
