@@ -1,4 +1,4 @@
-"""Quaternions, covariances and pinhole projection: pure functions on torch tensors.
+"""Quaternions and pinhole projection: pure functions on torch tensors.
 
 Convention: quaternions are wxyz and need not be normalised; rotation matrices act on column
 vectors; cameras are world-to-camera with OpenCV axes and pixel centres at +0.5 (`framework.types`).
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from framework.compute.portable import inverse, sinc_cosine
-from framework.compute.tensors import exp, root
+from framework.compute.tensors import root
 from framework.types import Camera
 
 
@@ -54,17 +54,6 @@ def quaternions(rotations: Tensor) -> Tensor:
     q = products.gather(-2, index).squeeze(-2)
     q = _normalised(q)
     return torch.where(q[..., :1] < 0, -q, q)
-
-
-def covariances(quats: Tensor, log_scales: Tensor) -> Tensor:
-    """[N, 3, 3] covariances R diag(exp(log_scales))^2 R^T (3DGS, eq. 6).
-
-    Args:
-        quats: [N, 4] wxyz.
-        log_scales: [N, 3], natural logarithm of standard deviations.
-    """
-    axes = rotation_matrices(quats) * exp(log_scales)[..., None, :]
-    return (axes[..., :, None, :] * axes[..., None, :, :]).sum(-1)
 
 
 def axis_angle_matrix(axis_angle: Tensor) -> Tensor:

@@ -94,7 +94,6 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
     from framework.command import runner
     from framework.command.cli import main
-    from framework.command.runner import import_uncollected
 
     clock, run = Clock(), runner.run
     ended = began
@@ -102,7 +101,7 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
     def watched(job: Any) -> None:
         """The run, with a clock around its stages."""
         nonlocal ended
-        import_uncollected("framework.run.experiment")
+        importlib.import_module("framework.run.experiment")
         clock.seconds[START] = time.time() - began
         for stage, places in STAGES.items():
             for place in places:

@@ -48,7 +48,7 @@ from framework.command.studies.study import (
 )
 from framework.command.subcommands import run_subcommand, subcommand_of
 from framework.compute.orphans import end_with_parent
-from framework.errors import UserError, machine_line, nearest_hint, printable_line, require
+from framework.errors import UserError, machine_line, printable_line
 from framework.records.progress import unread
 
 IN_ALL_LINES = ("augment=", "reg=", "seed=")  # in the progress lines of every run
@@ -80,7 +80,6 @@ def main(argv: Sequence[str]) -> int:
                 version_base="1.3", config_path=str(CONF_DIR), config_name="config"
             )(task)
             if only_informs(flags):
-                _check_package(flags)
                 with composing():
                     application()
                 return 0
@@ -134,18 +133,6 @@ def task(cfg: DictConfig) -> Outcome:
     outcome = Outcome(job.number, job.run_dir)
     add_outcome(outcome)
     return outcome
-
-
-def _check_package(flags: Any) -> None:
-    """Raise UserError for `--package` of a part that the configuration lacks."""
-    if flags.package is None or flags.shell_completion:
-        return
-    with hydra.initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)):
-        config = hydra.compose("config", flags.overrides, return_hydra_config=True)
-    package = flags.package.removeprefix("_global_")
-    part = OmegaConf.select(config, package, throw_on_missing=False) if package else config
-    parts = [str(key) for key in config]
-    require(part is not None, f"--package: no part {package!r}; {nearest_hint(package, parts)}")
 
 
 @contextmanager

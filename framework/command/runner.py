@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-import importlib
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,29 +36,9 @@ class Job:
 
 def run(job: Job) -> None:
     """Do a run. Raises what the run raises."""
-    import_uncollected("framework.run.experiment")  # torch and the kernels: two seconds
     from framework.run.experiment import run_experiment
 
     tested = not untested(str(job.config["scene"].get("split")))
     in_place = None if job.alone else False
     progress = Terminal(job.label, job.short_label, in_place=in_place, tested=tested)
     run_experiment(job.config, Path(job.run_dir), progress, job.overrides)
-
-
-def import_uncollected(module: str) -> None:
-    """Import a module with the garbage collector off.
-
-    Imports make hundreds of thousands of objects that live to the end; scanning them again and
-    again takes 0.2 s with torch and numba. The objects are exempt from later collections too. A
-    second import does nothing, so the garbage of a study's runs is collected.
-    """
-    if module in sys.modules:
-        return
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        importlib.import_module(module)
-        gc.freeze()
-    finally:
-        if enabled:
-            gc.enable()

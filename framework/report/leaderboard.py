@@ -90,19 +90,13 @@ class Match:
         return 1 if self.comparison.difference > 0 else -1
 
 
-def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int]:
-    """Write the leaderboard of all studies below the folder; returns its path, and how many are in
-    it. rival: the baseline of the studies that have it.
+def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int, str]:
+    """Write the leaderboard of all studies below the folder; returns its path, how many are in it,
+    and the verdict. rival: the baseline of the studies that have it.
 
     Raises:
         UserError: there is no study. One that cannot be read is listed.
     """
-    path, entries, _ = _written(folder, out_dir, rival)
-    return path, entries
-
-
-def _written(folder: Path, out_dir: Path, rival: str) -> tuple[Path, int, str]:
-    """The path, the number of studies and the verdict."""
     entries, broken = _entries(folder, out_dir, rival)
     require(
         bool(entries or broken),
@@ -326,7 +320,7 @@ def main(arguments: list[str], prog: str) -> int:
     parser.add_argument("--baseline", default="", metavar="METHOD", help=BASELINE_HELP)
     options = parser.parse_args(arguments)
     out_dir = options.out or options.folder
-    path, studies, verdict = _written(options.folder, out_dir, options.baseline)
+    path, studies, verdict = leaderboard(options.folder, out_dir, options.baseline)
     tell("leaderboard", path, verdict)
     require(
         studies > 0,

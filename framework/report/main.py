@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from framework.errors import Arguments, UserError, printable_line, require
+from framework.errors import Arguments, printable_line, require
 from framework.files.limits import check_address_space
 
 BASELINE_HELP = (
@@ -43,7 +43,6 @@ def main(arguments: list[str], prog: str) -> int:
         " add --out DIR",
     )
     check_address_space()
-    _check_place(options.out or options.study_dirs[0])
     from framework.report.build import built
 
     photos = not options.without_photos
@@ -63,19 +62,3 @@ def tell(kind: str, path: Path, verdict: str) -> None:
         print(printable_line(verdict))
     print(f"page: {printable_line(str(path.with_suffix('.html')))}")
     print(f"{kind}: {printable_line(str(path))}")
-
-
-def _check_place(out_dir: Path) -> None:
-    """Raise UserError for a report inside a study, in the folder of a run or of all runs."""
-    from framework.records import RUN_FOLDERS
-    from framework.report.study.collect import run_dirs
-
-    place = out_dir.resolve()
-    if RUN_FOLDERS not in place.parts:  # nor is a large folder searched
-        return
-    studies = {run.parent.parent for run in run_dirs(place) if run.parent.name == RUN_FOLDERS}
-    for study in studies.intersection(place.parents):
-        raise UserError(
-            f"{out_dir}: expected the folder of a study for its report, got one of its runs; give"
-            f" {study}, or --out DIR"
-        )

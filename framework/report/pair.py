@@ -52,8 +52,8 @@ class PairVerdict:
     views: int = 0
 
 
-def compare_runs(first: Path, second: Path, out_dir: Path, baseline: str = "") -> Path:
-    """Write the report of two complete runs; returns its path.
+def compare_runs(first: Path, second: Path, out_dir: Path, baseline: str = "") -> tuple[Path, str]:
+    """Write the report of two complete runs; returns its path and its verdict.
 
     Args:
         baseline: which of the two is compared with, by its method; "" for the first.
@@ -61,11 +61,6 @@ def compare_runs(first: Path, second: Path, out_dir: Path, baseline: str = "") -
     Raises:
         UserError: other folders, or pictures that do not belong to a run.
     """
-    return _compared(first, second, out_dir, baseline)[0]
-
-
-def _compared(first: Path, second: Path, out_dir: Path, baseline: str) -> tuple[Path, str]:
-    """The path of the report and its verdict."""
     require(first.resolve() != second.resolve(), f"{first}: expected two runs, got one twice")
     one, other = _labelled([_complete(first), _complete(second)])
     if baseline and _base(one, other, baseline) is other:
@@ -245,5 +240,5 @@ def main(arguments: list[str], prog: str) -> int:
     parser.add_argument("--baseline", default="", metavar="METHOD", help=BASELINE_HELP)
     options = parser.parse_args(arguments)
     first, second = options.runs
-    tell("compared", *_compared(first, second, options.out, options.baseline))
+    tell("compared", *compare_runs(first, second, options.out, options.baseline))
     return 0

@@ -83,7 +83,6 @@ def test_an_interrupt_at_the_start_is_one_line(tmp_path: Path, after_ms: int) ->
     [
         ("seed=range(0) -m", "multirun: seed=range(0) gives no value, so there is no run"),
         ("seed=0,1 reg=glob(zzz*) -m", "multirun: reg=glob(zzz*) gives no value"),
-        ("-c job -p nonsense.key", "--package: no part 'nonsense.key'"),
         ("preset=[paper,fast]", "preset: expected one choice, got a list"),
         ("method=[a,b]", "method: expected one choice, got a list"),
         ("~seed", "~seed: an option cannot be removed"),

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from framework.compute.rng import stream
 from framework.geometry import (
     axis_angle_matrix,
-    covariances,
     perturbed,
     project,
     quaternions,
@@ -42,12 +41,6 @@ def test_quaternions_of_half_turns(axis: int) -> None:
     quat = torch.zeros(4, dtype=torch.float64)
     quat[axis + 1] = 1
     torch.testing.assert_close(quaternions(rotation_matrices(quat)), quat)
-
-
-def test_covariances_have_the_squared_scales_as_eigenvalues() -> None:
-    log_scales = torch.from_numpy(stream(0, "test/scales").standard_normal((20, 3)))
-    values = torch.linalg.eigvalsh(covariances(random_quats(20), log_scales))
-    torch.testing.assert_close(values, (2 * log_scales).exp().sort(1).values)
 
 
 @pytest.mark.parametrize("vector", [[0.0, 0.0, 0.0], [1e-9, 0.0, 0.0], [0.3, -2.0, 1.1]])

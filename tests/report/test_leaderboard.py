@@ -64,7 +64,7 @@ def test_studies_at_any_depth_are_read(tmp_path: Path) -> None:
     shutil.rmtree(other.parent / "runs")
     for name in ("s2", "s3"):
         _study(tmp_path / "mine" / name, {"none": 0.0, "safi": 3.0})
-    path, studies = leaderboard(tmp_path, tmp_path / "out")
+    path, studies, _ = leaderboard(tmp_path, tmp_path / "out")
     text = path.read_text(encoding="utf-8")
     assert studies == 4 and "Left out" not in text
     assert "[mine/deep/s1](../mine/deep/s1/report.md)" in text and "[mine/s3](" in text
@@ -92,7 +92,7 @@ def test_searches_are_no_studies(tmp_path: Path) -> None:
             fake_run(folder, seed=seed, condition=condition, run_name=f"{seed}")
     actual = '{"metric": "psnr", "fixed": [], "trials": []}'
     (searched / SEARCH).write_text(actual, encoding="utf-8")
-    path, studies = leaderboard(tmp_path, tmp_path)
+    path, studies, _ = leaderboard(tmp_path, tmp_path)
     text = path.read_text(encoding="utf-8")
     assert studies == 0 and "the trials of a search" in text
     assert "evaluated on training photos (scene.split=llff_held_out)" in text

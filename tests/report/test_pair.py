@@ -41,7 +41,7 @@ def test_two_runs_beside_each_other(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_runs_of_one_method_are_told_apart_by_seed(tmp_path: Path) -> None:
     runs = [fake_run(tmp_path, seed=seed, run_name=f"s{seed}") for seed in (0, 1)]
-    text = compare_runs(*runs, tmp_path / "out").read_text(encoding="utf-8")
+    text = compare_runs(*runs, tmp_path / "out")[0].read_text(encoding="utf-8")
     assert text.startswith("# Baseline, seed=1 compared with Baseline, seed=0\n")
     assert re.search(r"\| seed +\| +0 +\| +1", text)
 
@@ -56,7 +56,7 @@ def test_what_is_no_pair_of_runs_ends_in_one_line(tmp_path: Path) -> None:
 
 def test_different_scenes_are_not_compared(tmp_path: Path) -> None:
     runs = [fake_run(tmp_path, scene=name, run_name=name) for name in ("fern", "fox")]
-    text = compare_runs(*runs, tmp_path / "out").read_text(encoding="utf-8")
+    text = compare_runs(*runs, tmp_path / "out")[0].read_text(encoding="utf-8")
     assert "Different scenes, so not compared: fern and fox." in text
 
 
@@ -78,7 +78,7 @@ def test_a_metric_that_one_run_alone_has_is_shown_whichever_comes_first() -> Non
 
 def test_the_baseline_of_a_pair_can_be_named(tmp_path: Path) -> None:
     plain, safi = fake_run(tmp_path, run_name="a"), fake_run(tmp_path, "safi", gain=1.0)
-    text = compare_runs(plain, safi, tmp_path / "out", "SAFI").read_text(encoding="utf-8")
+    text = compare_runs(plain, safi, tmp_path / "out", "SAFI")[0].read_text(encoding="utf-8")
     assert text.startswith("# Baseline compared with SAFI\n")
     with pytest.raises(UserError, match="expected the method of one of both runs, got 'uar'"):
         compare_runs(plain, safi, tmp_path / "out", "uar")

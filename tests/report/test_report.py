@@ -298,16 +298,3 @@ def test_a_report_without_a_finished_run_is_written_and_an_error(
     assert "\nreport: " in said.out and said.err.count("\n") == 1
     assert f"{tmp_path}: expected a finished run, got 1 failed or damaged" in said.err
     assert (tmp_path / "report.md").is_file()
-
-
-@pytest.mark.parametrize("place", ["runs/x", "runs"])
-def test_no_report_goes_into_the_folder_of_a_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str
-) -> None:
-    run = tmp_path / "runs" / "x"
-    write_failed(run, make_config(seed=9), ["seed=9"], "depth: bad")
-    assert command(["report", str(tmp_path / place)]) == 2
-    said = capsys.readouterr().err
-    assert "expected the folder of a study for its report, got one of its runs" in said
-    assert f"give {tmp_path}, or --out DIR" in said
-    assert said.count("\n") == 1 and not list(tmp_path.rglob("report.*"))

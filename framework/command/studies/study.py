@@ -30,7 +30,6 @@ from framework.command.hydra_inside import jobs_of
 from framework.command.launchers.supported import watch_workers
 from framework.command.overrides import check_method, check_run_count, parsed
 from framework.command.program import program
-from framework.command.runner import import_uncollected
 from framework.command.studies.closing import closing, short_path
 from framework.command.studies.estimate import announce
 from framework.command.studies.ready import check_links, check_ready
@@ -274,7 +273,6 @@ def build_reports() -> None:
     good = [outcome for outcome in outcomes() if outcome.error is None]
     for folder in sorted({study_dir(Path(outcome.run_dir)) for outcome in good}):
         try:
-            import_uncollected("framework.report")
             from framework.report import build_report
 
             with locked(folder, wait=True):
