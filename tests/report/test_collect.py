@@ -276,7 +276,7 @@ def test_trainings_beside_other_programs_are_told_and_compared_by_cpu(tmp_path: 
     assert study.by_cpu and choices(study, "embedded")
 
 
-def test_every_capacity_has_a_colour_where_there_are_enough(tmp_path: Path) -> None:
+def test_every_capacity_is_a_series(tmp_path: Path) -> None:
     for name in ("fixed", "adc"):
         for steps in (100, 400):
             config = {"capacity": {"name": name}, "trainer": {"steps": steps}}
@@ -286,23 +286,3 @@ def test_every_capacity_has_a_colour_where_there_are_enough(tmp_path: Path) -> N
         "Baseline",
         "Baseline, capacity=adc",
     }
-    for name in ("a", "b", "c", "d", "e"):
-        fake_run(tmp_path, run_name=name, capacity={"name": name}, trainer={"steps": 100})
-    ((chart,), *_) = cost_charts(collect(tmp_path), "embedded")
-    assert {series.name for series in chart.series} == {"Baseline"}
-
-
-def test_a_chart_per_method_where_the_colours_are_too_few_for_all(tmp_path: Path) -> None:
-    capacities = ("fixed", "adc", "budget", "evidence")
-    for augment in ("none", "safi"):
-        for at, capacity in enumerate(capacities):
-            name, config = f"{augment}-{capacity}", {"name": capacity}
-            fake_run(tmp_path, augment, gain=at, run_name=name, capacity=config)
-    (panels, *_) = cost_charts(collect(tmp_path), "embedded")
-    assert [chart.title for chart in panels] == ["embedded, Baseline", "embedded, SAFI"]
-    for chart in panels:
-        named = {series.look: series.name for series in chart.series}
-        assert set(named.values()) == {f"capacity={name}" for name in capacities}
-        assert named == {series.look: series.name for series in panels[0].series}
-    # single runs show no gain, so nothing is ringed
-    assert not any(series.ringed for chart in panels for series in chart.series)

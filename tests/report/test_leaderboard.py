@@ -43,18 +43,9 @@ def test_methods_over_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "[one](one/report.md)" in text and (folder / "leaderboard.html").is_file()
     rows = list(csv.DictReader((folder / "leaderboard.csv").read_text("utf-8").splitlines()))
     assert {row["study"] for row in rows} == {"one", "two"} and len(rows) == 4
-    assert "alone and two (4) and one and two (8)" in text
     before = (folder / "leaderboard.html").read_bytes()
     leaderboard(folder, folder)
     assert (folder / "leaderboard.html").read_bytes() == before
-
-
-def test_trainings_of_two_studies_are_told(tmp_path: Path) -> None:
-    first = _study(tmp_path / "one", {"none": 0.0, "safi": 3.0})
-    shutil.copytree(first.parent, tmp_path / "two")
-    _study(tmp_path / "two", {"dba": 0.02})
-    text = leaderboard(tmp_path, tmp_path)[0].read_text(encoding="utf-8")
-    assert "in two studies count in both: one and two (8)." in text
 
 
 def test_studies_at_any_depth_are_read(tmp_path: Path) -> None:

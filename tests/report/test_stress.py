@@ -148,20 +148,6 @@ def test_the_verdict_of_a_stress(tmp_path: Path) -> None:
     assert "- Not significant at any strength: Euclidean; an effect of up to " in text
 
 
-def test_the_size_of_models_is_drawn_where_a_capacity_changes_it(tmp_path: Path) -> None:
-    for capacity in ("fixed", "evidence"):
-        rows = [
-            row(f"room (n_views={n})", "none + none", seed, 20.0, gaussians=1000 * n,
-                **{"scene.n_views": n, "capacity": capacity})
-            for n in (3, 6, 9)
-            for seed in range(2)
-        ]  # fmt: skip
-        study = collect(table(tmp_path / capacity, rows))
-        (panel,) = panels(study)
-        labels = [chart.y_label for chart in stress_charts(study, panel, [], "x")]
-        assert ("Gaussians" in labels) == (capacity == "evidence")
-
-
 def test_bars_and_sentences_agree() -> None:
     """What is said to differ is what the drawn interval says, at every strength."""
     draw = stream(0, "bars")

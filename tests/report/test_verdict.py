@@ -149,15 +149,6 @@ def test_methods_that_hardly_acted_are_named(
     assert f"less than half of their occasions: {expected}" in text
 
 
-def test_a_single_run_has_no_worst_seed_and_no_rate(tmp_path: Path) -> None:
-    fake_run(tmp_path)
-    alone = first_screen(tmp_path)
-    assert "its worst view is" in alone and "worst seed" not in alone and "failed" not in alone
-    fake_run(tmp_path, seed=1)
-    both = first_screen(tmp_path)
-    assert "its worst seed is" in both and "0 of 2 runs failed" in both
-
-
 def test_warnings_reach_the_verdict_and_the_notes(tmp_path: Path) -> None:
     run = fake_run(tmp_path)
     fake_run(tmp_path, seed=1)
