@@ -29,12 +29,6 @@ class Unwritable(UserError):
     kind = "disk"
 
 
-class Disturbed(UserError):
-    """Written files are missing, or were changed by another process."""
-
-    kind = "disk"
-
-
 class Written:
     """Size and SHA-256 of the files that this process writes below `folder`."""
 
@@ -47,37 +41,19 @@ class Written:
         if path.is_relative_to(self.folder):
             self._files[path] = len(data), hashlib.sha256(data).hexdigest()
 
-    def check(self, content: bool = True) -> None:
-        """Raise Disturbed for the first file that is missing or changed.
-
-        Args:
-            content: compare the content, not only the size.
-        """
-        for path, (size, digest) in sorted(self._files.items()):
-            changed = difference(path, size, digest if content else None)
-            if changed:
-                raise Disturbed(
-                    f"{path}: expected the {size:,} bytes just written, got {changed}; leave the"
-                    " folder alone while it is written, and run the same again"
-                )
-
     def listed(self) -> dict[str, tuple[int, str]]:
         """Return path within the folder -> size in bytes and SHA-256."""
         files = self._files.items()
         return {path.relative_to(self.folder).as_posix(): of for path, of in sorted(files)}
 
 
-def difference(path: Path, size: int, digest: str | None) -> str:
-    """Describe how a file differs from one of this size and SHA-256; "" if it does not.
-
-    Args:
-        digest: None compares the size alone.
-    """
+def difference(path: Path, size: int, digest: str) -> str:
+    """Describe how a file differs from one of this size and SHA-256; "" if it does not."""
     if not is_file(path):
         return "nothing"
     if (now := path.stat().st_size) != size:
         return f"{now:,} bytes"
-    return "other ones" if digest is not None and file_sha256(path) != digest else ""
+    return "other ones" if file_sha256(path) != digest else ""
 
 
 _followers: list[Written] = []

@@ -38,7 +38,7 @@ from framework.files.documents import read_json
 from framework.files.limits import RUN_BYTES
 from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.files.whole import Disturbed, Written, difference, following, write_whole
+from framework.files.whole import Written, difference, following, write_whole
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
 from framework.records.failure import FAILED
@@ -201,11 +201,7 @@ def write_run(
         renders: the test views with their [3, H, W] images, in the order of `metrics`.
         before: what of the run was written already.
         stale: files of an earlier run, which are removed unless this one writes them too. An old
-            record is removed first, so that a half-repeated run never looks complete, and the new
-            one stands only over files that are there as written.
-
-    Raises:
-        Disturbed: where somebody removed or changed one meanwhile.
+            record is removed first, so that a half-repeated run never looks complete.
     """
     from framework.records.ply import write_ply
 
@@ -237,15 +233,7 @@ def write_run(
         status="complete",
         error=None,
     )
-    for part in followed:
-        part.check()
     write_record(run_dir, finished)
-    try:
-        for part in followed:
-            part.check(content=False)
-    except Disturbed:
-        (run_dir / RECORD).unlink(missing_ok=True)
-        raise
     for name in (FAILED, DIVERGED):  # of an earlier attempt
         (run_dir / name).unlink(missing_ok=True)
     return finished
