@@ -150,33 +150,9 @@ def machine_line(error: BaseException) -> str | None:
     return printable_line(memory_line(error)) if out_of_memory(error) else None
 
 
-REWORDED = (  # argparse's words -> ours
-    (r"the following arguments are required: (.*)", r"expected \1, got too few words"),
-    (r"argument ([^:]+): invalid choice: (.*) \(choose from (.*)\)", r"\1: expected \3, got \2"),
-    (r"argument ([^:]+): invalid int value: (.*)", r"\1: expected an integer, got \2"),
-    (r"argument ([^:]+): invalid float value: (.*)", r"\1: expected a number, got \2"),
-    (r"argument ([^:]+): expected (.*)", r"\1: expected \2, got something else"),
-    (r"argument ([^:]+): (.*)", r"\1: \2"),
-    (r"unrecognized arguments: (.*)", r"expected only what the usage names, got \1"),
-)
-
-
 class Arguments(argparse.ArgumentParser):
     """Raises UserError for arguments that it refuses, and shows the usage."""
 
     def error(self, message: str) -> NoReturn:
-        message = self._with_choices(message)
-        for theirs, ours in REWORDED:
-            line, count = re.subn(f"^{theirs}$", ours, message)
-            if count:
-                message = line
-                break
         usage = " ".join(self.format_usage().split())
         raise UserError(f"{self.prog}: {message}; {usage}")
-
-    def _with_choices(self, message: str) -> str:
-        """Replace names of arguments in a message about missing words by their choices."""
-        opening, required, names = message.partition("arguments are required: ")
-        choices = {a.dest: " or ".join(map(str, a.choices)) for a in self._actions if a.choices}
-        words = [choices.get(name, name) for name in names.split(", ")]
-        return f"{opening}{required}{', '.join(words)}"

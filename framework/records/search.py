@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from framework.errors import require
+from framework.errors import UserError, require
 from framework.files.documents import read_json
 from framework.files.limits import RUN_BYTES
 from framework.files.opened import is_file
@@ -56,35 +56,26 @@ def read_search(folder: Path) -> Searched | None:
     if not is_file(path):
         return None
     content = read_json(path, RUN_BYTES)
-    fits = (
-        isinstance(content, dict)
-        and content.get("metric") in METRICS
-        and _texts(content.get("fixed"))
-        and isinstance(content.get("trials"), list)
-        and all(map(_is_trial, content["trials"]))
-    )
-    require(fits, f"{path}: expected the trials of a search, got another file; remove it")
-    trials = tuple(
-        Trial(
-            *(t["number"], t["value"], tuple(t["words"]), t["run"] or ""),
-            *(float(t["train_s"] or 0.0), t["error"] or ""),
+    try:
+        require(content["metric"] in METRICS, "unknown metric")
+        return Searched(
+            content["metric"],
+            tuple(map(str, content["fixed"])),
+            tuple(map(_trial, content["trials"])),
         )
-        for t in content["trials"]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise UserError(
+            f"{path}: expected the trials of a search, got another file; remove it"
+        ) from error
+
+
+def _trial(entry: Any) -> Trial:
+    value = entry["value"]
+    return Trial(
+        number=int(entry["number"]),
+        value=None if value is None else float(value),
+        words=tuple(map(str, entry["words"])),
+        run=str(entry["run"] or ""),
+        train_s=float(entry["train_s"] or 0.0),
+        error=str(entry["error"] or ""),
     )
-    return Searched(content["metric"], tuple(content["fixed"]), trials)
-
-
-def _is_trial(entry: Any) -> bool:
-    return (
-        isinstance(entry, dict)
-        and {"number", "value", "words", "run", "train_s", "error"} <= entry.keys()
-        and type(entry["number"]) is int
-        and isinstance(entry["value"], float | int | None)
-        and _texts(entry["words"])
-        and all(isinstance(entry[key], str | None) for key in ("run", "error"))
-        and isinstance(entry["train_s"], float | int | None)
-    )
-
-
-def _texts(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(text, str) for text in value)

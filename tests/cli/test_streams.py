@@ -28,29 +28,16 @@ print("went on", file=sys.stderr)
 """
 
 
-@pytest.mark.parametrize(
-    ("stdout", "closed", "message"),
-    [("/dev/full", (), "warning: output: No space left on device"), (os.devnull, (1,), "went on")],
-)
-def test_output_that_is_full_or_closed(
-    tmp_path: Path, stdout: str, closed: tuple[int, ...], message: str
-) -> None:
-    def close() -> None:
-        for number in closed:
-            os.close(number)
-
-    with open(stdout, "w") as out:
-        done = subprocess.run(
-            [sys.executable, "-c", CODE],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            stdout=out,
-            stderr=subprocess.PIPE,
-            text=True,
-            preexec_fn=close,
-        )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.count(message) == 1 and "went on" in done.stderr
+def test_output_that_is_closed(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", CODE],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: os.close(1),
+    )
+    assert done.returncode == 0 and done.stderr == "went on\n"
 
 
 def test_no_stream_at_all(tmp_path: Path) -> None:
