@@ -13,9 +13,7 @@ from framework.files.whole import make_folder, write_whole
 from framework.records.archive import ARCHIVE, has_archive, read_archive
 from framework.report import literature, stress, tables
 from framework.report.export import (
-    LATEX,
     TABLE,
-    comparisons_tex,
     results_files,
     results_markdown,
     runs_archive,
@@ -159,8 +157,6 @@ def _build(study: Study, title: str | None, photos: bool) -> Report:
     if study.runs:
         files[TABLE] = runs_csv(study)
         files |= results_files(context["results"]) if context["results"] else {}
-        if findings.outcomes.comparisons:
-            files[LATEX] = comparisons_tex(findings.outcomes)
     for name, content in files.items():
         write_whole(study.out_dir / name, content)
     macro = "stress_verdict" if findings.panels else "verdict"

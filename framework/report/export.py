@@ -1,6 +1,5 @@
-"""For further use: `runs.csv`, one row per complete run; `runs.jsonl`, the archive; and the tables
-for a paper, `results` as LaTeX, Markdown and CSV and `comparisons.tex`. Both LaTeX tables need the
-package booktabs."""
+"""For further use: `runs.csv`, one row per complete run; `runs.jsonl`, the archive; and the table
+for a paper, `results` as LaTeX (package booktabs), Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -18,10 +17,6 @@ from framework.records.record import Run, RunRecord
 from framework.records.run_files import Table
 from framework.report.provenance import code_of
 from framework.report.render import tex
-from framework.report.statistics.compare import Comparison
-from framework.report.statistics.estimates import Estimate, Interval
-from framework.report.statistics.numbers import format_difference, format_interval, format_p
-from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.axes import VIEWS
 from framework.report.study.methods import Method
 from framework.report.study.plugins import with_defaults
@@ -29,7 +24,7 @@ from framework.report.study.study import FailedRun, ReportRun, Study
 from framework.report.study.words import flatten, outside
 from framework.report.tables import Result, heading_of
 
-TABLE, LATEX, RESULTS = "runs.csv", "comparisons.tex", "results"
+TABLE, RESULTS = "runs.csv", "results"
 ALSO, DOSE = "also.", "dose."  # begin the columns of plugins' metrics and of what the method did
 Results = Mapping[Method, Mapping[str, Result | None]]
 
@@ -152,30 +147,3 @@ def _results_csv(results: Results, metrics: list[str]) -> str:
         pairs = [(r.text, r.sigma_text) if r else ("", "") for r in cells]
         writer.writerow([method.name, *(text for pair in pairs for text in pair)])
     return buffer.getvalue()
-
-
-def comparisons_tex(outcomes: Outcomes) -> str:
-    """A table of every comparison: over these scenes and over scenes like these (corrected for all
-    methods), and on every scene alone (uncorrected)."""
-    groups = []
-    for method, c in outcomes.comparisons.items():
-        where = "these scenes" if len(c.scenes) > 1 else "the scene"
-        rows = [_tex_row(c, where, c.these, c.joint, c.p_joint)]
-        if c.like is not None:
-            p = None if c.like.p is None else min(1.0, c.tests * c.like.p)
-            rows.append(_tex_row(c, "scenes like these", c.like, c.like_joint, p))
-        for scene, compared in outcomes.by_scene.items():
-            if method in compared:
-                alone = compared[method]
-                rows.append(_tex_row(alone, scene, alone.these, alone.interval, alone.p))
-        groups.append(rows)
-    return tex("comparisons.tex.jinja", groups=groups)
-
-
-def _tex_row(
-    c: Comparison, on: str, estimate: Estimate, interval: Interval | None, p: float | None
-) -> list[str]:
-    inside = "--" if interval is None else format_interval(interval)
-    chance = "--" if p is None else format_p(p).removeprefix("p ").removeprefix("= ")
-    words = [c.method.name, c.baseline.name, on, str(estimate.n)]
-    return [*words, format_difference(estimate.mean), inside, chance]

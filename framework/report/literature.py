@@ -21,7 +21,7 @@ from framework.report.tables import Row, without
 
 FEWEST = 2  # recipes in a table
 LLFF, DTU = "LLFF", "DTU"
-DATA_SETS = {"llff": LLFF, "dtu": DTU, "mip360": "Mip-NeRF 360"}  # by loader
+DATA_SETS = {"llff": LLFF, "dtu": DTU}  # by loader
 OF_SCENE = "By others on this scene"
 AVGE_THERE, AVGE_HERE = "AVGE by others on this scene", "AVGE here"
 
@@ -54,7 +54,7 @@ def recipes(study: Study) -> list[Recipes]:
             name = recipe_of(run.record.overrides).removesuffix(SWEPT)
             if name in published:
                 runs[name].append(run)
-        if on not in (LLFF, DTU) or len(set(runs) - {"baseline"}) < FEWEST:
+        if not on or len(set(runs) - {"baseline"}) < FEWEST:
             continue
         shown = [entry for entry in entries if entry.recipe in runs or not entry.recipe]
         others = scene_rows({study.name_of(scene)})
@@ -107,51 +107,8 @@ def _joined(rows: Sequence[Mapping[str, str]], key: str) -> str:
     return ", ".join(row[key] for row in rows if row.get(key)) or ABSENT
 
 
-def mean_rows(study: Study) -> list[Row]:
-    """Published means of the data sets of a study."""
-    sets = {data_set(study, scene) for scene in study.scenes}
-    rows = [row for e in literature() for row in e.rows("means") if row["dataset"] in sets]
-    columns = dict.fromkeys(f"{row['dataset']}, {row['views']} views" for row in rows)
-    by_method: dict[str, Row] = {}
-    for row in rows:
-        cells: Row = {"Method": row["method"], **dict.fromkeys(columns, ABSENT)}
-        cells |= by_method.get(row["method"], {})
-        by_method[row["method"]] = cells | {
-            f"{row['dataset']}, {row['views']} views": _figures(row)
-        }
-    return list(by_method.values())
-
-
-def published_scene_rows(study: Study) -> list[Row]:
-    """Published figures of the scenes of a study."""
-    names = {study.name_of(scene) for scene in study.scenes if study.split_as_published(scene)}
-    return [
-        {
-            "Scene": row["scene"],
-            "Method": row["method"],
-            "Training views": row["views"],
-            "PSNR / SSIM / LPIPS (size)": _figures(row) if row.get("psnr") else ABSENT,
-            "AVGE (size)": f"{row['avge']} ({row['size']})",
-        }
-        for row in scene_rows(names)
-    ]
-
-
-def _figures(row: Mapping[str, str]) -> str:
-    spread = f" ± {float(row['sd_psnr']):.2f}" if row.get("sd_psnr") else ""
-    return f"{row['psnr']}{spread} / {row['ssim']} / {row['lpips']} ({row['size']})"
-
-
 def scene_rows(names: set[str]) -> list[dict[str, str]]:
     """Published figures of scenes with these names, by scene."""
-    rows = [row for entry in literature() for row in entry.rows("scenes")]
+    rows = [row for entry in literature() for row in entry.rows()]
     result = [r for r in rows if r["scene"] in names or r["scene"].removeprefix("llff_") in names]
     return sorted(result, key=lambda row: row["scene"])
-
-
-def published_sources(study: Study) -> str:
-    """The sources of the published figures of a study."""
-    sets = {data_set(study, scene) for scene in study.scenes}
-    names = {study.name_of(scene) for scene in study.scenes if study.split_as_published(scene)}
-    rows = [row for e in literature() for row in e.rows("means") if row["dataset"] in sets]
-    return "; ".join(dict.fromkeys(row["source"] for row in (*rows, *scene_rows(names))))

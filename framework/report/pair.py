@@ -16,12 +16,12 @@ from framework.errors import Arguments, require
 from framework.files.whole import make_folder, write_whole
 from framework.metrics.values import AVERAGE, digits
 from framework.records.provenance import NEUTRAL_KEYS
-from framework.records.record import METHOD_GROUPS, RECORD, Run, read_run
+from framework.records.record import RECORD, Run, read_run
 from framework.report.figures.chart import Picture, chart_picture
 from framework.report.figures.charts import pair_curves
 from framework.report.figures.pictures import draw_closeup
 from framework.report.gallery import gallery
-from framework.report.main import BASELINE_HELP, tell
+from framework.report.main import tell
 from framework.report.provenance import code_of
 from framework.report.render import Page, render, render_page, say
 from framework.report.statistics.numbers import ABSENT, format_difference
@@ -52,29 +52,21 @@ class PairVerdict:
     views: int = 0
 
 
-def compare_runs(first: Path, second: Path, out_dir: Path, baseline: str = "") -> tuple[Path, str]:
+def compare_runs(first: Path, second: Path, out_dir: Path) -> tuple[Path, str]:
     """Write the report of two complete runs; returns its path and its verdict.
-
-    Args:
-        baseline: which of the two is compared with, by its method; "" for the first.
 
     Raises:
         UserError: other folders, or pictures that do not belong to a run.
     """
     require(first.resolve() != second.resolve(), f"{first}: expected two runs, got one twice")
-    one, other = _labelled([_complete(first), _complete(second)])
-    if baseline and _base(one, other, baseline) is other:
-        one, other = other, one
-    runs = (one, other)
+    runs = one, other = _labelled([_complete(first), _complete(second)])
     make_folder(out_dir)
     study = Study(out_dir, runs, rival=runs[0].method)
     scenes = sorted({run.scene for run in runs})
     same = scenes if len(scenes) == 1 else []
-    options, inner = _options(one, other)
     context = {
         "pair": _verdict(one, other, same),
-        "options": options,
-        "inner": inner,
+        "options": _options(one, other),
         "closeups": [picture for scene in same if (picture := draw_closeup(study, scene))],
         "views": _views(one, other) if same else [],
         "curve": _curves(study),
@@ -87,17 +79,6 @@ def compare_runs(first: Path, second: Path, out_dir: Path, baseline: str = "") -
     write_whole(out_dir / REPORT, render("compare.jinja", "markdown", page, **context))
     write_whole((out_dir / REPORT).with_suffix(".html"), content)
     return out_dir / REPORT, say("pair_verdict", **context)
-
-
-def _base(one: ReportRun, other: ReportRun, baseline: str) -> ReportRun:
-    """The run of the method that is called so. Raises UserError."""
-    named = [run for run in (one, other) if run.method.is_called(baseline)]
-    require(
-        len(named) == 1,
-        f"--baseline: expected the method of one of both runs, got {baseline!r}; give one of"
-        f" {one.method.label}; {other.method.label}",
-    )
-    return named[0]
 
 
 def _complete(folder: Path) -> Run:
@@ -150,20 +131,15 @@ def _verdict(a: ReportRun, b: ReportRun, same: Sequence[str]) -> PairVerdict:
     return PairVerdict("equal" if one == other else "higher", high, low, better, len(views))
 
 
-def _options(a: ReportRun, b: ReportRun) -> tuple[list[Row], list[Row]]:
-    """The options that differ, by their full names; apart, those of plugins of which the other run
-    has another."""
+def _options(a: ReportRun, b: ReportRun) -> list[Row]:
+    """The options that differ, by their full names."""
     one, other = (flatten(run.record.config) for run in (a, b))
-    groups = {g for g in METHOD_GROUPS if one.get(f"{g}.name") != other.get(f"{g}.name")}
     rows: list[Row] = []
-    inner: list[Row] = []
     for key in sorted(one.keys() | other.keys()):
         values = [value_text(item[key]) if key in item else "" for item in (one, other)]
         if key not in NO_OPTIONS and values[0] != values[1]:
-            group, _, option = key.partition(".")
-            place = inner if group in groups and option != "name" else rows
-            place.append({"Option": outside(key), **_cells(a, b, values)})
-    return rows, inner
+            rows.append({"Option": outside(key), **_cells(a, b, values)})
+    return rows
 
 
 def _cells(a: ReportRun, b: ReportRun, values: Sequence[str]) -> dict[str, str]:
@@ -237,8 +213,7 @@ def main(arguments: list[str], prog: str) -> int:
     parser.add_argument(
         "--out", type=Path, default=Path("compare"), help="folder of the report (default: compare)"
     )
-    parser.add_argument("--baseline", default="", metavar="METHOD", help=BASELINE_HELP)
     options = parser.parse_args(arguments)
     first, second = options.runs
-    tell("compared", *compare_runs(first, second, options.out, options.baseline))
+    tell("compared", *compare_runs(first, second, options.out))
     return 0

@@ -268,11 +268,8 @@ def _pipe_cell(cell: Cell) -> str:
 
 
 def tex_text(text: object) -> str:
-    """A text as LaTeX prints it; numbers with a true minus sign."""
-    words = str(text)
-    plain = "".join(TEX.get(character, character) for character in words)
-    is_number = words[:1] in "+-" and words[1:2].isdigit()
-    return plain.replace("-", "$-$").replace("+", "$+$") if is_number else plain
+    """A text as LaTeX prints it."""
+    return "".join(TEX.get(character, character) for character in str(text))
 
 
 def _colors() -> str:

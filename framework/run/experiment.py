@@ -241,7 +241,6 @@ class Experiment:
             self.network,
             {name: registry.part("metric", {"name": name}) for name in names},
             bool(options.get(LPIPS_BOTH)),
-            self.progress.stage,
         )
         metrics = with_average(metrics)
         if options.get(COADAPTATION):

@@ -71,16 +71,6 @@ def test_the_second_convention_is_measured_on_request(network: lpips.Lpips) -> N
     assert isinstance(measured.lpips, float) and measured.lpips_01 == NOT_REQUESTED
 
 
-def test_progress_of_lpips_is_reported(
-    network: lpips.Lpips, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(metrics, "REPORT_S", 0.0)
-    truth, lines = image("truth"), list[str]()
-    views = [view_of(truth)] * 3
-    metrics.evaluate(lambda _: similar(truth), views, network, report=lines.append)
-    assert [line[-10:] for line in lines] == ["1/3 images", "2/3 images", "3/3 images"]
-
-
 def test_a_complete_run_gets_lpips_once_there_are_weights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

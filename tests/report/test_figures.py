@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from framework.report import build_report
-from framework.report.export import comparisons_tex
 from framework.report.figures import pictures
 from framework.report.figures.chart import Chart, Point, Series, draw
 from framework.report.figures.charts import cost_charts
@@ -20,7 +19,6 @@ from framework.report.figures.forest import Forest, Row, limits
 from framework.report.figures.forest import draw as draw_forest
 from framework.report.figures.pictures import BESIDE, _window, draw_closeup
 from framework.report.statistics.numbers import format_difference
-from framework.report.statistics.outcomes import outcomes
 from framework.report.stress import panels
 from framework.report.study.collect import collect
 from tests.record import fakes
@@ -126,15 +124,6 @@ def test_a_figure_is_also_numbers(study_dir: Path) -> None:
         "scenes like these",
     ]
     assert [r["interval"] for r in rows][1:3] == ["this row alone", "all comparisons at once"]
-
-
-def test_every_comparison_is_a_row_of_latex(study_dir: Path) -> None:
-    text = (study_dir / "comparisons.tex").read_text(encoding="utf-8")
-    assert text == comparisons_tex(outcomes(collect(study_dir)))
-    rows = [line for line in text.splitlines() if line.startswith("SAFI & Baseline")]
-    assert len(rows) == 4 and all(line.count(" & ") == 6 for line in rows)
-    assert r"my\_50\%\_\{room\}" in text and "$+$" in text
-    assert text.count("{tabular}") == 2
 
 
 def test_the_crop_is_where_renders_differ_most() -> None:

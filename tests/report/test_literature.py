@@ -13,8 +13,6 @@ from framework.report.literature import (
     AVGE_HERE,
     AVGE_THERE,
     OF_SCENE,
-    mean_rows,
-    published_scene_rows,
     recipes,
 )
 from framework.report.statistics.outcomes import outcomes
@@ -66,8 +64,7 @@ def test_photos_of_another_division_stand_alone(tmp_path: Path, split: str) -> N
         content["scene"]["protocol"] = split
         path.write_text(json.dumps(content), encoding="utf-8")
     drawn = collect(tmp_path)
-    assert recipes(usual) and mean_rows(usual) and published_scene_rows(usual)
-    assert not (recipes(drawn) or mean_rows(drawn) or published_scene_rows(drawn))
+    assert recipes(usual) and not recipes(drawn)
 
 
 def test_draws_of_one_scene_say_nothing_about_other_scenes(tmp_path: Path) -> None:
@@ -93,17 +90,7 @@ def test_published_figures_stand_next_to_their_own_data_set(tmp_path: Path) -> N
     printed = {name: tuple(row[c] for c in cells) for name, row in by_method(actual.rows).items()}
     assert printed["Binocular3DGS"] == ("20.71", "20.83") and printed["SE-GS"] == ("–", "–")
     assert printed["StereoGS"] == ("21.46", "–") and printed["MuRF"] == ("21.31", "–")
-    assert list(mean_rows(dtu)[0]) == ["Method", "DTU, 3 views"]
-    assert recipes(ours) == [] and mean_rows(ours) == []
-
-
-def test_published_figures_carry_their_size(tmp_path: Path) -> None:
-    fake_run(tmp_path, scene="llff_fern", condition={"name": "llff"})
-    study = collect(tmp_path)
-    rows = by_method(mean_rows(study))
-    assert rows["SAFI + UAR"]["LLFF, 3 views"] == "21.12 / 0.729 / 0.190 (1/8)"
-    scene = next(row for row in published_scene_rows(study) if row["Method"] == "CoR-GS")
-    assert scene["PSNR / SSIM / LPIPS (size)"] == "22.29 / 0.745 / 0.196 (1/8)"
+    assert recipes(ours) == []
 
 
 def test_every_published_recipe_is_one() -> None:

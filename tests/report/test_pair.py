@@ -74,11 +74,3 @@ def test_a_metric_that_one_run_alone_has_is_shown_whichever_comes_first() -> Non
         message = [row[f"{heading_of('lpips')}, {run.method}"] for run in pair]
         assert message[absent] == "–" and message[1 - absent] == "0.2500"
         assert row[f"{heading_of('avge')}, b"] == "0.1000"
-
-
-def test_the_baseline_of_a_pair_can_be_named(tmp_path: Path) -> None:
-    plain, safi = fake_run(tmp_path, run_name="a"), fake_run(tmp_path, "safi", gain=1.0)
-    text = compare_runs(plain, safi, tmp_path / "out", "SAFI")[0].read_text(encoding="utf-8")
-    assert text.startswith("# Baseline compared with SAFI\n")
-    with pytest.raises(UserError, match="expected the method of one of both runs, got 'uar'"):
-        compare_runs(plain, safi, tmp_path / "out", "uar")

@@ -26,7 +26,6 @@ class Published:
         name: stem of its file.
         recipe: name in `conf/method`; "" if there is none.
         data_sets: data set -> published and repeated means with three views.
-        means: rows of figures on data sets, as text.
         scenes: rows of figures on single scenes, as text.
         paper: the fields of the BibTeX entry, with its key.
     """
@@ -36,7 +35,6 @@ class Published:
     recipe: str = ""
     note: str = ""
     data_sets: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    means: tuple[Mapping[str, str], ...] = ()
     scenes: tuple[Mapping[str, str], ...] = ()
     paper: Mapping[str, str] = field(default_factory=dict)
 
@@ -46,9 +44,9 @@ class Published:
         fields = [f"  {k} = {{{v}}}" for k, v in self.paper.items() if k != "key"]
         return f"@article{{{self.paper['key']},\n" + ",\n".join(fields) + "\n}"
 
-    def rows(self, kind: str) -> list[dict[str, str]]:
-        """The `means` or `scenes`, each with the name of the method."""
-        return [{"method": self.title, **row} for row in getattr(self, kind)]
+    def rows(self) -> list[dict[str, str]]:
+        """The `scenes`, each with the name of the method."""
+        return [{"method": self.title, **row} for row in self.scenes]
 
 
 @functools.cache
@@ -66,7 +64,6 @@ def _published(stem: str, content: Mapping[str, Any]) -> Published:
         recipe="" if content.get("published_only") else stem,
         note=content.get("note", ""),
         data_sets={name: content[name] for name in ("LLFF", "DTU") if name in content},
-        means=tuple(content.get("means", ())),
         scenes=tuple(content.get("scenes", ())),
         paper=content.get("paper", {}),
     )
