@@ -77,15 +77,10 @@ def checked_lens(lens: Lens, where: str) -> Lens:
     Raises:
         UserError: for an impossible one.
     """
-    numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *astuple(lens.distortion))
     sides = f"{lens.width}x{lens.height}"
     require(
         min(lens.width, lens.height) >= 1 and max(lens.width, lens.height) <= SIDE_PIXELS,
         f"{where}: expected sides of 1 to {SIDE_PIXELS} pixels, got {sides}; correct the camera",
-    )
-    require(
-        all(map(math.isfinite, numbers)),
-        f"{where}: expected finite intrinsics, got {_few(numbers)}; correct the camera",
     )
     longer = max(lens.width, lens.height)
     least, most = FOCAL[0] * longer, FOCAL[1] * longer
@@ -94,16 +89,14 @@ def checked_lens(lens: Lens, where: str) -> Lens:
         f"{where}: expected positive focal lengths, {least:g} to {most:g} pixels for {sides}, got"
         f" {lens.fx:.4g} and {lens.fy:.4g}; correct the camera",
     )
-    off = max(abs(lens.cx - lens.width / 2), abs(lens.cy - lens.height / 2))
+    off = (lens.cx - lens.width / 2, lens.cy - lens.height / 2)
+    terms = astuple(lens.distortion)
     require(
-        off <= OFF_CENTER * longer,
-        f"{where}: expected a principal point near the image of {sides}, got ({lens.cx:.4g},"
-        f" {lens.cy:.4g}); correct the camera",
-    )
-    require(
-        all(abs(term) <= BENT for term in astuple(lens.distortion)),
-        f"{where}: expected distortion coefficients of at most {BENT:g}, got"
-        f" {_few(astuple(lens.distortion))}; correct the camera",
+        all(abs(part) <= OFF_CENTER * longer for part in off)
+        and all(abs(term) <= BENT for term in terms),
+        f"{where}: expected a principal point near the image of {sides} and distortion coefficients"
+        f" of at most {BENT:g}, got ({lens.cx:.4g}, {lens.cy:.4g}) and"
+        f" {', '.join(f'{term:.4g}' for term in terms)}; correct the camera",
     )
     return lens
 
@@ -144,10 +137,6 @@ def check_places(
         f" bound, {ASTRAY:g}-fold), got {names[farthest]!r} at {away[farthest]:.4g}; correct its"
         " position or remove the photo",
     )
-
-
-def _few(numbers: Sequence[float]) -> str:
-    return ", ".join(f"{number:.4g}" for number in numbers[:9])
 
 
 def check_rounding(

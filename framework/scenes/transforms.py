@@ -108,11 +108,6 @@ class Transforms:
         train, test = read_roles(file)
         by_file = file_protocol(names, train, test, self.split)
         if self.split in FILES:
-            require(
-                bool(test),
-                f"{file}: expected test_filenames or val_filenames for scene.split={self.split},"
-                " got none; name test photos there or use scene.split=llff",
-            )
             strange = sorted((train | test) - {*listed, *(splitext(name)[0] for name in listed)})
             require(
                 not strange,
@@ -121,9 +116,10 @@ class Transforms:
                 " their names or use scene.split=llff",
             )
             require(
-                bool(by_file.divide(len(names))[1]),
-                f"{file}: expected the test photos that it names, got none of them; restore them or"
-                " use scene.split=llff",
+                bool(test) and bool(by_file.divide(len(names))[1]),
+                f"{file}: expected photos of its test_filenames or val_filenames for"
+                f" scene.split={self.split}, got none; name or restore them, or use"
+                " scene.split=llff",
             )
             return by_file.split(names, self.n_views, where)
         split = protocol(self.split).split(names, self.n_views, where)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,8 +14,9 @@ from numpy.typing import NDArray
 
 from framework.compute import portable
 from framework.errors import UserError, require
+from framework.files.documents import read_json
 from framework.files.limits import PHOTO_PIXELS, TEXT_BYTES
-from framework.files.opened import is_file, read_text
+from framework.files.opened import is_file
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.conventions import decoded_as
 from framework.scenes.decoding import image_size
@@ -273,13 +272,7 @@ def _read_json(path: Path) -> dict[str, Any]:
         raise UserError(
             f"{path}: expected camera poses, found no file{other or '; is scene.path right?'}"
         )
-    try:
-        data = json.loads(read_text(path, TEXT_BYTES))
-    except UserError:
-        raise
-    except (ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise UserError(f"{path}: expected JSON, got a damaged file ({reason}); fix it") from None
+    data = read_json(path, TEXT_BYTES)
     require(isinstance(data, dict), f"{path}: expected a JSON object, got something else; fix it")
     result: dict[str, Any] = data
     return result
@@ -298,10 +291,9 @@ def _values(entry: Mapping[str, Any], where: str) -> dict[str, float]:
         if key not in entry:
             continue
         value = entry[key]
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
         require(
-            number and abs(value) <= sys.float_info.max,  # an integer may exceed all floats
-            f"{where}: expected {key} to be a finite number, got {value}; correct it",
+            isinstance(value, int | float) and not isinstance(value, bool),
+            f"{where}: expected {key} to be a number, got {value}; correct it",
         )
         values[key] = float(value)
     rational = () if model == FULL else ("k4", "k5", "k6")  # nerfstudio's k4 is another term

@@ -238,7 +238,7 @@ def test_runs_of_two_scenes_are_refused(tmp_path: Path) -> None:
         ("RUN RUN RUN", "expected one run or two, got 3"),
         ("RUN --port 70000", "expected 0 to 65535"),
         ("RUN RUN --static", "expected a file for the page of two runs"),
-        ("--static RUN", "expected"),
+        ("--static RUN", "required"),
         ("RUN --static other", "ends in .html"),
         ("nowhere", "found nothing"),
     ],
