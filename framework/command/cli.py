@@ -168,13 +168,10 @@ def _job(hydra: Any, config: dict[str, Any]) -> Job:
     words = [word.lstrip("+") for word in varied(overrides)]
     besides = [_shown(w) for w in words if not w.startswith(IN_ALL_LINES) and w != f"method={pair}"]
     label = " ".join([method, *besides, f"seed {config['seed']}"])
-    values = [word.partition("=")[2] for word in besides]
-    short = " ".join([method, *values, f"s{config['seed']}"])
     number = 0 if OmegaConf.is_missing(hydra.job, "num") else int(hydra.job.num)
     total = job_count()
     if total != 1:
         label = f"[run {number + 1}{f' of {total}' if total else ''}] {label}"
-        short = f"[{number + 1}{f'/{total}' if total else ''}] {short}"
     multirun = hydra.mode.name == "MULTIRUN"
     return Job(
         number=number,
@@ -182,7 +179,6 @@ def _job(hydra: Any, config: dict[str, Any]) -> Job:
         config=config,
         overrides=overrides,
         label=label,
-        short_label=short,
         alone=not multirun or hydra.launcher._target_.endswith(".BasicLauncher"),
         multirun=multirun,
         again=again(hydra),

@@ -17,7 +17,7 @@ class Job:
     """One run of the command line, as plain data.
 
     Attributes:
-        label, short_label: begin its progress lines.
+        label: begins its progress lines.
         alone: no other run writes to the terminal.
         multirun: whether it is one of several.
         again: the command that does this run alone.
@@ -28,7 +28,6 @@ class Job:
     config: dict[str, Any]
     overrides: list[str]
     label: str
-    short_label: str
     alone: bool
     multirun: bool
     again: str
@@ -40,5 +39,5 @@ def run(job: Job) -> None:
 
     tested = not untested(str(job.config["scene"].get("split")))
     in_place = None if job.alone else False
-    progress = Terminal(job.label, job.short_label, in_place=in_place, tested=tested)
+    progress = Terminal(job.label, in_place=in_place, tested=tested)
     run_experiment(job.config, Path(job.run_dir), progress, job.overrides)

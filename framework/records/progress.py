@@ -1,11 +1,9 @@
 """What a run shows while it works: one line, updated in place on a terminal, sparse otherwise.
 
-    [run 4 of 12] safi+uar seed 1 · step 300/800 · loss 0.0412 · test 22.31 dB ·
-    39957 Gaussians · 41 steps/s · 12 s left
+    [run 4 of 12] safi+uar seed 1 · step 300/800 · 12 s left · test 22.31 dB · loss 0.0412 ·
+    39957 Gaussians · 41 steps/s
 
-and on a terminal too narrow for it
-
-    [4/12] safi+uar s1 · 300/800 · loss 0.041 · 22.3 dB · 39957 G · 41/s · 12 s
+whose end a narrow terminal cuts off.
 
 Speed is the mean over the last seconds, so that compilation and the coarse phase do not distort
 the time left. Nothing here touches training: a run is the same with any `Progress`.
@@ -134,7 +132,6 @@ class Terminal:
 
     Args:
         label: who speaks, for instance "[run 4 of 12] safi+uar seed 1".
-        short_label: the same for a narrow terminal.
         clock: seconds, monotonic.
         tested: whether there are test views.
     """
@@ -142,14 +139,12 @@ class Terminal:
     def __init__(
         self,
         label: str,
-        short_label: str | None = None,
         stream: TextIO | None = None,
         in_place: bool | None = None,
         clock: Callable[[], float] = time.monotonic,
         tested: bool = True,
     ) -> None:
         self._label = label
-        self._short_label = short_label if short_label is not None else label
         self._stream = stream if stream is not None else sys.stdout
         self._in_place = self._stream.isatty() if in_place is None else in_place
         self._clock, self._tested = clock, tested
@@ -177,19 +172,18 @@ class Terminal:
         if not self._due(now, step, n_steps):
             return
         self._told_at, self._told_step = now, step
-        parts = [(f"step {step}/{n_steps}", f"{step}/{n_steps}")]
-        parts.append((f"loss {loss:.4f}", f"loss {loss:.3f}"))
-        if psnr is not None:
-            parts.append((f"test {psnr:.2f} dB", f"{psnr:.1f} dB"))
-        if not self._tested:
-            parts.append(("not tested", "untested"))
-        parts.append((f"{gaussians} Gaussians", f"{gaussians} G"))
+        parts = [f"step {step}/{n_steps}"]
         speed = self._speed()
         if speed is not None:
-            pace, left = f"{speed:.{0 if speed >= 10 else 1}f}", f"{(n_steps - step) / speed:.0f} s"
-            parts += [(f"{pace} steps/s", f"{pace}/s"), (f"{left} left", left)]
-        long, short = (" · ".join(texts) for texts in zip(*parts, strict=True))
-        self._transient(long, short)
+            parts.append(f"{(n_steps - step) / speed:.0f} s left")
+        if psnr is not None:
+            parts.append(f"test {psnr:.2f} dB")
+        if not self._tested:
+            parts.append("not tested")
+        parts += [f"loss {loss:.4f}", f"{gaussians} Gaussians"]
+        if speed is not None:
+            parts.append(f"{speed:.{0 if speed >= 10 else 1}f} steps/s")
+        self._transient(" · ".join(parts))
 
     def _mark(self, now: float, step: int) -> None:
         if self._marks and step <= self._marks[-1][1]:  # a new training began
@@ -212,16 +206,13 @@ class Terminal:
         covered = step - self._told_step >= PLAIN_SHARE * n_steps
         return waited >= PLAIN_PERIOD_S or covered or step == n_steps
 
-    def _transient(self, text: str, short: str | None = None) -> None:
-        """A line that the next one may replace; `short` where `text` does not fit."""
+    def _transient(self, text: str) -> None:
+        """A line that the next one may replace."""
         if not self._in_place:
             self._line(text)
             return
         columns = shutil.get_terminal_size().columns - 1
-        line = f"{self._label} · {text}"
-        if len(line) > columns:
-            line = f"{self._short_label} · {text if short is None else short}"
-        self._write(f"\r\x1b[K{line[:columns]}")
+        self._write(f"\r\x1b[K{f'{self._label} · {text}'[:columns]}")
 
     def _line(self, text: str) -> None:
         """A line that stays."""

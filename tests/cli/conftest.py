@@ -30,12 +30,10 @@ class FakeRuns:
 
     seen: list[dict[str, Any]] = field(default_factory=list)
     folders: list[Path] = field(default_factory=list)
-    labels: list[str] = field(default_factory=list)  # the short ones
     failures: dict[int, BaseException] = field(default_factory=dict)
 
     def run(self, job: Job) -> bool:
         self.seen.append(job.config)
-        self.labels.append(job.short_label)
         self.folders.append(Path(job.run_dir).relative_to(Path.cwd()))
         failure = self.failures.get(job.config["seed"])
         if failure is not None:

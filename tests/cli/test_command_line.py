@@ -44,7 +44,6 @@ def test_progress_lines_say_what_changes_from_run_to_run(
     message = [text for text in capsys.readouterr().out.splitlines() if "finished" in text]
     assert message[0] == "[run 1 of 4] none+none capacity=fixed seed 0 · finished"
     assert message[3] == "[run 4 of 4] none+uar capacity=evidence seed 0 · finished"
-    assert runs.labels[3] == "[4/4] none+uar evidence s0"
 
 
 def test_of_a_path_progress_lines_have_the_end(

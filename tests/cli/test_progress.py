@@ -1,4 +1,4 @@
-"""The progress line: sparse on a pipe, in place on a terminal, short on a narrow one."""
+"""The progress line: sparse on a pipe, in place on a terminal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Clock:
 
 def told(pace_s: float, in_place: bool, steps: int = 800) -> str:
     stream = io.StringIO()
-    line = Terminal(LABEL, "[4/12] safi+uar s1", stream, in_place, Clock(pace_s))
+    line = Terminal(LABEL, stream, in_place, Clock(pace_s))
     for step in range(1, steps + 1):
         line.step(step, steps, 0.0412, 39957, 22.31 if step > 100 else None)
     line.done("22.40 dB")
@@ -42,8 +42,8 @@ def test_a_pipe_gets_a_line_every_tenth() -> None:
     lines = told(1 / 41, in_place=False).splitlines()
     assert len(lines) == 12
     assert lines[4] == (
-        f"{LABEL} · step 321/800 · loss 0.0412 · test 22.31 dB · 39957 Gaussians · 41 steps/s"
-        " · 12 s left"
+        f"{LABEL} · step 321/800 · 12 s left · test 22.31 dB · loss 0.0412 · 39957 Gaussians"
+        " · 41 steps/s"
     )
     assert lines[-2].startswith(f"{LABEL} · step 800/800 ·")
     assert lines[-1] == f"{LABEL} · 22.40 dB"
@@ -53,24 +53,22 @@ def test_a_pipe_gets_a_line_every_tenth() -> None:
 def test_a_terminal_gets_one_line_in_place(columns: pytest.MonkeyPatch) -> None:
     text = told(1 / 41, in_place=True)
     assert text.count("\n") == 1
-    assert "step 800/800 · loss 0.0412 · test 22.31 dB · 39957 Gaussians" in text
+    assert "step 800/800 · 0 s left · test 22.31 dB · loss 0.0412 · 39957 Gaussians" in text
 
 
 def test_a_narrow_terminal_still_shows_the_time_left(columns: pytest.MonkeyPatch) -> None:
     columns.setenv("COLUMNS", "80")
     shown = told(1 / 41, in_place=True).split("\r\x1b[K")
     assert max(len(line) for line in shown) <= 80
-    last = "[4/12] safi+uar s1 · 800/800 · loss 0.041 · 22.3 dB · 39957 G · 41/s · 0 s"
-    assert last in shown
+    last = f"{LABEL} · step 800/800 · 0 s left · test 22.31 dB · loss 0.0412"
+    assert any(line.startswith(last) for line in shown)
 
 
 def test_a_training_without_test_views_says_so(columns: pytest.MonkeyPatch) -> None:
-    for width, expected in (("160", "loss 0.1000 · not tested · 10 G"), ("60", "untested · 10 G")):
-        columns.setenv("COLUMNS", width)
-        stream = io.StringIO()
-        line = Terminal(LABEL, "[4/12] s1", stream, in_place=True, clock=Clock(1), tested=False)
-        line.step(1, 1, 0.1, 10)
-        assert expected in stream.getvalue()
+    stream = io.StringIO()
+    line = Terminal(LABEL, stream, in_place=True, clock=Clock(1), tested=False)
+    line.step(1, 1, 0.1, 10)
+    assert "not tested · loss 0.1000 · 10 G" in stream.getvalue()
 
 
 def test_stages_and_notes_carry_the_label() -> None:

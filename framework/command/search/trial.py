@@ -71,7 +71,7 @@ def job_of(words: Sequence[str]) -> Job:
         run_dir = str(composed.hydra.run.dir)
     again = f"{program()} {' '.join(words)}"
     config["study"] = config["study"] or Path(run_dir).parent.parent.name
-    return Job(0, run_dir, config, list(words), "", "", False, True, again)
+    return Job(0, run_dir, config, list(words), "", False, True, again)
 
 
 def run(words: list[str], label: str, metric: str) -> Result:
