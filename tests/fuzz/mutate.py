@@ -134,7 +134,7 @@ MUTATIONS: tuple[Mutation, ...] = (
     *(_cut, _flip, _flip, _insert, _delete, _repeat, _count, _count, _number, _word, _lines),
     *(_floats, _floats, _twice),
 )
-TEXTS = (".txt", ".csv", ".json", ".yaml", ".ply", ".line")
+TEXTS = (".txt", ".csv", ".json", ".ply", ".line")
 
 
 def _socket(path: Path) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import yaml
 from PIL import Image
 
 from framework.depth.providers import DepthFile
@@ -121,8 +120,6 @@ def _study(folder: Path) -> None:
     fake_run(folder, "safi", run_name="x")
     write_failed(folder / "runs" / "y", make_config(seed=1), ["seed=1"], "no overlap")
     (folder / "runs/y/record.json").unlink()
-    (folder / "runs/y/.hydra").mkdir()
-    (folder / "runs/y/.hydra/config.yaml").write_text(yaml.safe_dump(make_config(seed=1)))
 
 
 def _reported(folder: Path) -> None:
@@ -255,7 +252,7 @@ READERS: dict[str, Reader] = {
         (
             *(f"runs/x/{name}" for name in ("record.json", "metrics.csv", "history.csv")),
             *(f"runs/x/renders/test_00{kind}.png" for kind in ("", "_truth", "_error")),
-            *("runs/y/failed.json", "runs/y/.hydra/config.yaml"),
+            "runs/y/failed.json",
         ),
         _reported,
     ),

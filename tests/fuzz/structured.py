@@ -24,17 +24,6 @@ for _level in (20, 60, 300):  # nested lists and mappings
     for _ in range(_level):
         _nest = {"a": [_nest]}
     VALUES.append(_nest)
-BOMB = b"a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + b"".join(
-    f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n".encode() for n in range(1, 10)
-)
-YAML = [
-    *(BOMB, b"z: " + b"[" * 5000, b"z: " + b"{a: " * 900, b"seed: 2001-01-01\n", b"seed: .inf\n"),
-    *(b"? [1, 2]\n: x\n", b"1: x\n", b"z: !!python/object/apply:os.mkdir [canary]\n"),
-    *(b"z: !!binary aGk=\n", b"z: !!set {a, b}\n", b"z: &a\n  <<: *a\n", b"z: 0x" + b"f" * 9000),
-    *(b"z: " + b"1:" * 9000 + b"1\n", b"trainer: x\n", b"scene: {name: [1]}\n", b"- a\n- b\n"),
-    *(b"z: " + b"x" * 20_000, b"--- 1\n--- 2\n", b'z: "\\ud800"\n', b"%YAML 9.9\n---\na: 1\n"),
-    *(b"z: 2001-99-99\n", b"scene: {name: a, path: {b: c}}\n", b"seed: -1\n", b"\xef\xbb\xbf"),
-]
 SHAPES = [(0,), (3, 0), (1,), (24, 32, 1), (1, 24, 32), (2, 3, 4, 5), (), (10, 17), (32, 24)]
 TYPES = ["f2", "f8", "i1", "u8", "?", "c8", "U3", "S4", "M8[s]", "O", "f4,i4", ">f4", "V0"]
 
@@ -43,8 +32,6 @@ def structured(name: str, data: bytes, draw: np.random.Generator) -> bytes | Non
     """A mutation fit for the file called `name`; None where its format has no shell to keep."""
     if name.endswith(".json"):
         return _json(data, draw)
-    if name.endswith(".yaml"):
-        return _yaml(data, draw)
     if name.endswith(".csv"):
         return _csv(data, draw)
     if name.endswith(".npy"):
@@ -91,15 +78,6 @@ def _csv(data: bytes, draw: np.random.Generator) -> bytes:
     out = io.StringIO(newline="")
     csv.writer(out, lineterminator="\n").writerows(rows)
     return out.getvalue().encode("utf-8", "surrogatepass")
-
-
-def _yaml(data: bytes, draw: np.random.Generator) -> bytes:
-    """A line that means more than it says, before, among or in place of the others."""
-    odd, lines = YAML[int(draw.integers(len(YAML)))], data.split(b"\n")
-    at = int(draw.integers(len(lines)))
-    return [odd, odd + b"\n" + data, b"\n".join([*lines[:at], odd, *lines[at:]])][
-        int(draw.integers(3))
-    ]
 
 
 def _npy(data: bytes, draw: np.random.Generator) -> bytes:

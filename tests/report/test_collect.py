@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from framework.errors import UserError
 from framework.records.record import write_failed
@@ -211,14 +210,13 @@ def test_failed_runs_have_the_name_of_their_method(tmp_path: Path) -> None:
     assert (str(failed.method), failed.scene, failed.seed) == ("SAFI", "embedded", 1)
 
 
-def test_a_failed_run_without_a_record_is_read_from_what_it_left(tmp_path: Path) -> None:
+def test_a_failed_run_without_a_record_is_listed(tmp_path: Path) -> None:
     fake_run(tmp_path, "safi", seed=0)
     folder = tmp_path / "runs" / "x"
-    (folder / ".hydra").mkdir(parents=True)
-    (folder / ".hydra" / "config.yaml").write_text(yaml.safe_dump(make_config("safi", seed=1)))
+    folder.mkdir()
     (folder / "failed.json").write_text('{"error": "no overlap", "overrides": ["seed=1"]}')
     (failed,) = collect(tmp_path).failed
-    assert (str(failed.method), failed.scene, failed.seed) == ("SAFI", "embedded", 1)
+    assert (failed.error, failed.overrides, failed.seed) == ("no overlap", ("seed=1",), None)
     (folder / "failed.json").write_text("{")
     (damaged,) = collect(tmp_path).failed
     assert damaged.kind == "damaged" and damaged.error.startswith("failed.json: expected JSON")

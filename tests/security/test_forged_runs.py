@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from PIL import Image
 
 from framework.command.cli import main as command
@@ -20,8 +19,7 @@ from framework.errors import UserError
 from framework.files.limits import RUNS
 from framework.report.build import build_report
 from framework.report.study.collect import collect
-from tests.fuzz.structured import BOMB
-from tests.record.fakes import fake_run, make_config
+from tests.record.fakes import fake_run
 
 Forge = Callable[[Path], object]
 FAILURE = '{"error": "no overlap", "kind": "bad input", "overrides": ["seed=1"]}'
@@ -66,16 +64,13 @@ def _scene(name: str, **more: Any) -> Forge:
     return _record(change)
 
 
-def _failed(text: str, config: str | bytes = "") -> Forge:
-    """A folder with `failed.json` alone, and the configuration."""
+def _failed(text: str) -> Forge:
+    """A folder with `failed.json` alone."""
 
     def forge(run: Path) -> None:
         shutil.rmtree(run)
-        (run / ".hydra").mkdir(parents=True)
+        run.mkdir()
         (run / "failed.json").write_text(text)
-        if config:
-            data = config if isinstance(config, bytes) else config.encode()
-            (run / ".hydra" / "config.yaml").write_bytes(data)
 
     return forge
 
@@ -109,8 +104,6 @@ def _cell(name: str, column: str, text: str) -> Forge:
 
 
 DAMAGED: dict[str, tuple[Forge, str]] = {
-    "alias bomb": (_failed(FAILURE, BOMB), "expected no YAML aliases"),
-    "tag": (_failed(FAILURE, "a: !!python/object/apply:os.mkdir [x]\n"), "expected YAML"),
     "brackets": (_failed("[" * 100_000), "failed.json: expected JSON"),
     "types": (_failed('{"error": 1, "overrides": []}'), "error is '1'"),
     "no file": (lambda run: _pipe("failed.json")(_emptied(run)), "a pipe"),
@@ -162,7 +155,7 @@ ODD: dict[str, Forge] = {
         for t in ("metrics.csv", "history.csv")
     ],
     "failed beside": lambda run: (run / "failed.json").write_text("[" * 100_000),
-    "plain failure": _failed(FAILURE, yaml.safe_dump(make_config(seed=7))),
+    "plain failure": _failed(FAILURE),
 }
 
 

@@ -150,7 +150,7 @@ def _read_run(path: Path) -> Run | FailedRun:
     """Raises UserError if the files in the folder `path` are not those of a run."""
     if not os.path.lexists(path / RECORD):
         left = read_failure(path)
-        return FailedRun(path, left.error, left.kind, left.overrides, left.config, {}, left.again)
+        return FailedRun(path, left.error, left.kind, left.overrides, {}, {}, left.again)
     run = read_run(path)
     if run.record.status == "complete":
         return run
