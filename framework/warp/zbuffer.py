@@ -149,20 +149,6 @@ def warp(
     return _resolve(sums, shape, float(min_weight), brightest, erode)
 
 
-def warp_views(
-    views: Sequence[View],
-    depth_maps: Sequence[DepthMap],
-    target: Camera,
-    *,
-    temperature: float = 0.02,
-    min_weight: float = 0.5,
-    erode: bool = True,
-) -> Warped:
-    """`warp(prepare(views, depth_maps), target)`, for a single use of the supports."""
-    supports = prepare(views, depth_maps)
-    return warp(supports, target, temperature=temperature, min_weight=min_weight, erode=erode)
-
-
 def relative_projection(source: Camera, target: Camera) -> np.ndarray:
     """[3, 4] float64 P with (x, y, w) = P (col, row, 1, 1/z), w = target z / source z."""
     relative = product(target.viewmat.numpy(), inverse(source.viewmat.numpy()))

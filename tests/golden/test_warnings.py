@@ -24,7 +24,7 @@ from framework.train.descent import Fading, fade
 from framework.train.resume import checkpoint
 from framework.train.resume.training_state import Plugins
 from framework.train.trainer import Trainer
-from framework.warp.zbuffer import warp_views
+from framework.warp.zbuffer import prepare, warp
 from tests.plugins.fakes import context
 from tests.warp.stage import camera, exact, photograph
 
@@ -107,7 +107,7 @@ def test_no_depth_behind_a_mask_is_known() -> None:
 def test_a_photo_that_was_evened_above_one_is_warped_as_bright() -> None:
     view = photograph(camera(-0.5, 0.0))
     bright = replace(view, image=view.image * 1.5)
-    actual = warp_views([bright], [exact(view)], view.camera)
+    actual = warp(prepare([bright], [exact(view)]), view.camera)
     inside = actual.mask > 0
     assert float(bright.image[:, inside].max()) > 1.05
     worst = (actual.image - bright.image).abs()[:, inside].max()

@@ -11,7 +11,7 @@ import torch
 from framework.compute import parallel
 from framework.errors import UserError
 from framework.types import Camera, DepthMap, View
-from framework.warp.zbuffer import Warped, prepare, relative_projection, warp, warp_views
+from framework.warp.zbuffer import Warped, prepare, relative_projection, warp
 from tests.warp.stage import HALF, SQUARE, camera, exact, photograph
 
 
@@ -27,7 +27,7 @@ def stage_views(unit: float = 1.0) -> list[View]:
 
 
 def warp_exact(views: list[View], target: Camera, **options: float) -> Warped:
-    return warp_views(views, [exact(view) for view in views], target, **options)
+    return warp(prepare(views, [exact(view) for view in views]), target, **options)
 
 
 def masked_psnr(warped: Warped, image: torch.Tensor) -> float:
@@ -125,7 +125,7 @@ def test_only_trusted_depth_enters() -> None:
     depth = trusted.depth.clone()
     depth[:20] = 0
     depth[-20:] = float("nan")
-    warped = warp_views([view], [DepthMap(depth, confidence)], view.camera)
+    warped = warp(prepare([view], [DepthMap(depth, confidence)]), view.camera)
     assert not warped.mask[:, :80].any() and not warped.mask[:20].any()
     assert not warped.mask[-20:].any() and warped.mask[40:60, 90:140].all()
 
@@ -135,10 +135,10 @@ def test_erosion_drops_one_pixel_of_borders_but_keeps_lone_holes_lone() -> None:
     depth = exact(view)
     depth.confidence[60, 80] = 0
     depth.confidence[:, :40] = 0
-    warped = warp_views([view], [depth], view.camera)
+    warped = warp(prepare([view], [depth]), view.camera)
     assert int((warped.mask[50:70, 60:100] == 0).sum()) == 1
     assert not warped.mask[50, 40] and warped.mask[50, 41]
-    kept = warp_views([view], [depth], view.camera, erode=False)
+    kept = warp(prepare([view], [depth]), view.camera, erode=False)
     assert bool(kept.mask[50, 40])
 
 
