@@ -53,13 +53,6 @@ def test_advice_about_a_focal_length_in_exif_that_is_wrong() -> None:
     assert "with which fewer photos can be placed; were they cropped or edited?" in line
 
 
-def test_frames_of_a_video_are_recognised() -> None:
-    near = replace(FOUND, links=[replace(link, shift=link.shift / 9) for link in FOUND.links])
-    (line,) = advice(near)
-    assert line.startswith("neighbouring photos are nearly the same, as frames of a video are")
-    assert list(advice(replace(near, video=True))) == []
-
-
 def test_failures_say_why() -> None:
     def told(actual: Result) -> str:
         text = failure(Path("holiday/p00.jpg"), actual)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,6 @@ from framework.scenes.photos.result import Link, Overruled, Result
 FLAT = 100  # features; a photo with fewer has too little texture
 STRONG = 20  # matches; fewer may be chance
 STILL = 0.005  # shift over the longer side; below, the camera has not moved
-CLOSE = 0.02  # shift of neighbouring video frames
 WEAK = 20  # 3D points; a pose from fewer is doubtful
 NEARLY_ALL = 0.9
 
@@ -70,11 +68,6 @@ def advice(result: Result) -> Iterator[str]:
         )
     if result.overruled:
         yield _overruled(result.overruled)
-    if not result.video and _is_video(result):
-        yield (
-            "neighbouring photos are nearly the same, as frames of a video are; every third or so"
-            " is enough, or use the video itself: scene.path=clip.mp4 scene.frames=40"
-        )
 
 
 def failure(photo: Path, result: Result) -> str:
@@ -137,11 +130,3 @@ def _with_neighbours(result: Result, name: str) -> str:
     others = [(-link.matches, min({link.first, link.second} - {name})) for link in links]
     nearest = [f"{other} {-n}" for n, other in sorted(others)[:2]]
     return f"{name} (matches: {', '.join(nearest) or 'none'})"
-
-
-def _is_video(result: Result) -> bool:
-    """Whether half of all neighbours by name show nearly the same."""
-    shifts = {frozenset((link.first, link.second)): link.shift for link in result.links}
-    neighbours = [frozenset(pair) for pair in itertools.pairwise(result.photos)]
-    close = [pair for pair in neighbours if shifts.get(pair, 1.0) < CLOSE]
-    return len(result.photos) > 10 and 2 * len(close) > len(neighbours)
