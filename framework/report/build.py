@@ -55,14 +55,6 @@ class Report:
         return self.path.with_suffix(".html")
 
 
-@dataclass(frozen=True)
-class SceneCost:
-    """The charts of a scene's costs."""
-
-    scene: str
-    pictures: list[Picture]
-
-
 def build_report(
     study_dirs: Path | Sequence[Path],
     title: str | None = None,
@@ -228,10 +220,11 @@ def _forest(findings: Findings) -> Picture | None:
     return forest_picture(study.out_dir, plot, alt)
 
 
-def _cost(study: Study, scene: str) -> SceneCost:
+def _cost(study: Study, scene: str) -> tuple[str, list[Picture]]:
+    """A scene with the charts of its costs."""
     alt = f"PSNR against cost of {scene}"
     pictures = [chart_picture(study.out_dir, charts, alt) for charts in cost_charts(study, scene)]
-    return SceneCost(scene, pictures)
+    return scene, pictures
 
 
 def _curves(study: Study, scene: str) -> Picture | None:

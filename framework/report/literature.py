@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from framework.metrics.values import AVERAGE
 from framework.registry import SWEPT
@@ -26,14 +25,6 @@ OF_SCENE = "By others on this scene"
 AVGE_THERE, AVGE_HERE = "AVGE by others on this scene", "AVGE here"
 
 
-@dataclass(frozen=True)
-class Recipes:
-    """The recipes of a scene."""
-
-    scene: str
-    rows: list[Row]
-
-
 def data_set(study: Study, scene: str) -> str:
     """The data set of a scene whose photos are divided as in papers; "" for another scene."""
     loaders = {str(run.record.config["scene"]["name"]) for run in study.of(scene)}
@@ -42,8 +33,8 @@ def data_set(study: Study, scene: str) -> str:
     return named[0] if named and study.split_as_published(scene) else ""
 
 
-def recipes(study: Study) -> list[Recipes]:
-    """The recipes of each scene of a data set with published figures, if there are two or more."""
+def recipes(study: Study) -> list[tuple[str, list[Row]]]:
+    """Each scene of a data set with published figures that has two recipes or more, with these."""
     entries = [entry for entry in literature() if entry.data_sets]
     published = {entry.recipe for entry in entries if entry.recipe}
     tables = []
@@ -61,7 +52,7 @@ def recipes(study: Study) -> list[Recipes]:
         rows = [_row(entry, runs.get(entry.recipe, []), others, on) for entry in shown]
         rare = (OF_SCENE, AVGE_THERE, AVGE_HERE)
         empty = [name for name in rare if all(row[name] == ABSENT for row in rows)]
-        tables.append(Recipes(scene, without(rows, *empty)))
+        tables.append((scene, without(rows, *empty)))
     return tables
 
 

@@ -42,8 +42,8 @@ def test_recipes_stand_next_to_published_and_repeated_figures(tmp_path: Path) ->
     for seed in (0, 1):
         _recipe(tmp_path, "corgs", seed)
         _recipe(tmp_path, "fsgs_sweep", seed, gain=1.0)
-    (actual,) = recipes(collect(tmp_path))
-    rows = by_method(actual.rows)
+    ((_, actual),) = recipes(collect(tmp_path))
+    rows = by_method(actual)
     assert set(rows) == {"CoR-GS", "FSGS", "ReconFusion", "MuRF"}
     corgs = rows["CoR-GS"]
     assert corgs["Published, LLFF"] == "20.45" and corgs["Runs"] == "2"
@@ -85,9 +85,9 @@ def test_published_figures_stand_next_to_their_own_data_set(tmp_path: Path) -> N
         _recipe(tmp_path / "dtu", name, 0, loader="dtu", gain=float(name == "stereogs_sweep"))
         _recipe(tmp_path / "own", name, 0, loader="transforms")
     dtu, ours = (collect(tmp_path / name) for name in ("dtu", "own"))
-    (actual,) = recipes(dtu)
+    ((_, actual),) = recipes(dtu)
     cells = ("Published, DTU", "Repeated by others, DTU")
-    printed = {name: tuple(row[c] for c in cells) for name, row in by_method(actual.rows).items()}
+    printed = {name: tuple(row[c] for c in cells) for name, row in by_method(actual).items()}
     assert printed["Binocular3DGS"] == ("20.71", "20.83") and printed["SE-GS"] == ("–", "–")
     assert printed["StereoGS"] == ("21.46", "–") and printed["MuRF"] == ("21.31", "–")
     assert recipes(ours) == []
