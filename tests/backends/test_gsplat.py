@@ -96,22 +96,6 @@ def test_its_projection_is_the_stand_ins(calls: Calls) -> None:
     assert (ours[0][seen] <= theirs[0][seen]).all()
 
 
-def test_its_tiles_are_the_stand_ins(calls: Calls) -> None:
-    args, _, ours = calls["isect_tiles"]
-    theirs = in_torch._isect_tiles(*args)
-    assert all(torch.equal(a.long(), b.long()) for a, b in zip(ours, theirs, strict=True))
-    args, _, ours = calls["isect_offset_encode"]
-    assert torch.equal(ours.long(), in_torch._isect_offset_encode(*args).long())
-
-
-def test_its_colours_are_the_stand_ins(calls: Calls) -> None:
-    args, options, ours = calls["spherical_harmonics"]
-    seen = options["masks"]
-    assert args[0] > 0 and torch.allclose(
-        ours[seen], in_torch._spherical_harmonics(*args)[seen], rtol=1e-4, atol=1e-5
-    )
-
-
 def test_its_kernels_have_the_constants_that_the_stand_in_has() -> None:
     """Read from the sources that it compiles."""
     source = Path(gsplat.__file__).parent / "cuda"

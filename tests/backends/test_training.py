@@ -19,7 +19,7 @@ from framework.run.plane import textured_plane
 from framework.run.training import renderer
 from framework.train.resume.training_state import Trained, TrainerState
 from framework.train.trainer import Plugins, Trainer
-from tests.backends.choices import NAMES, opened
+from tests.backends.choices import NAMES, STAND_IN, opened
 
 OTHERS = [name for name in NAMES if name != NUMBA.name]
 IDLE = {"augment": "none", "reg": "none", "capacity": "fixed"}
@@ -71,18 +71,6 @@ def image(trained: Trained) -> torch.Tensor:
     return renderer(trained.gaussians, trained.background, trained.sh_degree, near)(camera)
 
 
-def test_the_first_step_is_that_of_the_kernels(rasterizer: Rasterizer) -> None:
-    """Adam's first step is the rate times the gradient's sign: of gradients that are rounding
-    alone, here of nothing that is seen, any is right."""
-    ours, theirs = trainer(NUMBA, 1).run(), trainer(rasterizer, 1).run()
-    assert ours.history[-1].loss == pytest.approx(theirs.history[-1].loss, abs=1e-5)
-    same, n = 0, 0
-    for (_, a), (_, b) in zip(ours.gaussians.items(), theirs.gaussians.items(), strict=True):
-        assert (a - b).abs().max() < 0.2 if a.numel() else True
-        same, n = same + int(((a - b).abs() <= 1e-4).sum()), n + a.numel()
-    assert same >= 0.97 * n, f"{same} of {n}"
-
-
 def test_twenty_steps_end_where_the_kernels_do(rasterizer: Rasterizer) -> None:
     """The loss to 1 %, the image of the middle view to 40 dB."""
     ours, theirs = trainer(NUMBA, 20).run(), trainer(rasterizer, 20).run()
@@ -95,19 +83,12 @@ def test_twenty_steps_end_where_the_kernels_do(rasterizer: Rasterizer) -> None:
     assert all(t.device.type == "cpu" for _, t in theirs.gaussians.items())
 
 
+@pytest.mark.parametrize("rasterizer", [STAND_IN, "gsplat"], indirect=True)
 @pytest.mark.parametrize("method", METHODS, ids=lambda m: "-".join(*m.items()))
 def test_every_plugin(rasterizer: Rasterizer, method: dict[str, str]) -> None:
-    trained = trainer(rasterizer, 6, **method).run()
+    trained = trainer(rasterizer, 4, **method).run()
     assert len(trained.gaussians) > 0
     assert all(torch.isfinite(t).all() for _, t in trained.gaussians.items())
-
-
-def test_the_same_pseudo_views_and_drops_as_with_the_kernels(rasterizer: Rasterizer) -> None:
-    """SAFI and UAR decide by the Fisher information."""
-    both = {"augment": "safi", "reg": "uar"}
-    ours, theirs = (trainer(who, 9, **both).run().dose for who in (NUMBA, rasterizer))
-    assert ours["augment.views"] == theirs["augment.views"] and ours["augment.views"][0] > 0
-    assert ours["reg.dropped"] == pytest.approx(theirs["reg.dropped"])
 
 
 def test_a_kept_training_goes_on(rasterizer: Rasterizer) -> None:

@@ -6,31 +6,21 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from framework import registry
 from framework.compute.rng import stream
-from framework.errors import UserError
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.run.plane import textured_plane
 from framework.toolbox.rounds import training_information
 from framework.train.trainer import Evaluate, Plugins, Trained, Trainer
 from framework.types import TrainingSet
-from plugins.capacity.evidence import (
-    FEWEST,
-    HANDFUL,
-    Evidence,
-    description_cost,
-    removable,
-    residual_noise,
-)
-from tests.capacity.population import pulls, watched
-from tests.plugins.fakes import Log, wall_of_gaussians
+from plugins.capacity.evidence import FEWEST, HANDFUL, description_cost, residual_noise
+from tests.capacity.population import watched
+from tests.plugins.fakes import wall_of_gaussians
 
 
 def test_the_noise_is_that_of_the_residuals_and_its_channels() -> None:
@@ -70,30 +60,6 @@ def test_the_cost_is_half_the_log_determinant_and_grows_with_knowledge() -> None
     bands = replace(subject, shN=torch.randn(30, 3, 3, generator=torch.Generator().manual_seed(0)))
     assert (description_cost(bands, reference, 1e-4) >= much).all()
     assert description_cost(bands, reference, 1e-4).max() > much.max() + 5
-
-
-def test_a_share_of_the_unpaid_goes_or_all_that_cannot_pay_together() -> None:
-    cost = np.full(10, 20.0)
-    gain = np.array([30.0, 19, 18, 17, 16, 15, 14, 13, 12, 11])
-    assert removable(gain, cost, 0.2).tolist() == [9, 8]
-    assert removable(gain, cost, 1.0).tolist() == [9, 8, 7, 6, 5, 4, 3, 2, 1]
-    none = np.array([30.0, 0, 0, 0, 0, 0, 0, 0.1, 19, 19])
-    assert sorted(removable(none, cost, 0.2).tolist()) == [1, 2, 3, 4, 5, 6, 7, 8]
-    assert len(removable(np.full(10, 21.0), cost, 1.0)) == 0
-
-
-def test_a_round_keeps_who_pays_and_splits_nobody_late() -> None:
-    log = Log({})
-    subject = wall_of_gaussians(100)
-    faint = torch.arange(100) % 4 == 0
-    subject = subject.replace(opacity_logits=torch.where(faint, -9.0, 2.0))
-    for step, splits in ((39, True), (69, False)):
-        evidence, ctx = Evidence(), watched(subject, step, log)
-        edits, _ = evidence.update(ctx, evidence.init_state(ctx), pulls(torch.ones(100)))
-        assert edits is not None and edits.keep is not None
-        assert not edits.keep[faint].any()
-        assert (edits.append is not None) == splits
-    assert log.values["noise"] and log.values["unpaid"][0] >= 25
 
 
 def trained(
@@ -146,33 +112,3 @@ def test_the_size_follows_the_content() -> None:
 
     sizes = [len(trained(with_images(p), 60).gaussians) for p in (smooth, lambda _, x: x, noise)]
     assert sizes[0] < 200 and sizes[0] < sizes[1] and max(sizes) < 1200
-
-
-def test_rounds_of_few_epochs_remove_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hundred steps, a round every ten: ten epochs with one view, 2.5 with four; with forty two
-    epochs lie between rounds, or as many as the steps before `until`."""
-    paces: list[float] = []
-
-    def watching(gain: Any, cost: Any, pace: float) -> Any:
-        paces.append(pace)
-        return removable(gain, cost, pace)
-
-    monkeypatch.setattr("plugins.capacity.evidence.removable", watching)
-    ctx, evidence = watched(step=9), Evidence(pace=0.4)
-    for n, steps, last in (
-        (1, 100, 9),
-        (4, 100, 9),
-        (40, 100, 9),
-        (40, 100, 59),
-        (4, 400, 39),
-        (15, 100, 29),
-    ):
-        seen = replace(ctx, views=ctx.views[:1] * n, n_steps=steps, step=last)
-        evidence.update(seen, evidence.init_state(seen), pulls(torch.ones(len(ctx.gaussians))))
-    assert paces == pytest.approx([0.4, 0.1, 0.4 * 0.15**0.5, 0.4, 0.08])
-
-
-def test_options_are_checked() -> None:
-    for option, value in (("criterion", "aic"), ("pace", 0.0), ("until", 1.5)):
-        with pytest.raises(UserError, match=rf"capacity.{option}: expected "):
-            registry.build("capacity", {"name": "evidence", option: value})

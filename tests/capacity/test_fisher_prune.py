@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
 import torch
 
-from framework.errors import UserError
-from framework.registry import build
 from framework.types import concatenate
 from plugins.capacity.fisher_prune import FisherPrune
 from tests.capacity.population import pulls, watched
@@ -44,9 +41,3 @@ def test_what_no_view_sees_goes_first() -> None:
     edits, _ = plugin.update(ctx, None, pulls(torch.ones(50)))
     assert edits is not None and edits.keep is not None
     assert edits.keep[:40].all() and not edits.keep[40:].any()
-
-
-def test_options_are_checked() -> None:
-    for option, value in (("first", 1.0), ("again", -0.1), ("rounds", 0), ("begin", 1.0)):
-        with pytest.raises(UserError, match=rf"capacity.{option}: expected "):
-            build("capacity", {"name": "fisher_prune", option: value})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,9 +21,7 @@ from framework.errors import UserError
 
 
 def composed(*overrides: str) -> dict[str, Any]:
-    register_config()
-    with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
-        return plain(compose("config", list(overrides)))
+    return copy.deepcopy(_composed(overrides))
 
 
 @dataclass
@@ -70,3 +70,10 @@ def runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeRuns:
     work.mkdir()
     monkeypatch.chdir(work)
     return fake
+
+
+@functools.cache
+def _composed(overrides: tuple[str, ...]) -> dict[str, Any]:
+    register_config()
+    with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
+        return plain(compose("config", list(overrides)))

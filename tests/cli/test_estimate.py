@@ -40,19 +40,6 @@ def test_only_the_estimate_is_printed_and_nothing_trained(
     assert "estimate: expected true, false or only, got 'maybe'" in capsys.readouterr().err
 
 
-def test_nothing_is_tried_unasked(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["seed=0,1", "-m"]) == 0
-    message = capsys.readouterr().out
-    assert "estimate" not in message and re.search(r"^2 runs took [^(]+$", message, re.MULTILINE)
-
-
-def test_runs_at_once_share_the_time(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
-    from framework.command.studies.estimate import announce
-
-    assert announce([config(seed=s) for s in range(4)], at_once=2) == pytest.approx(48 / 2)
-    assert "2 at a time" in capsys.readouterr().out
-
-
 def test_every_method_and_scene_is_tried() -> None:
     def try_out(c: Any) -> Cost:
         step_s = (2.0 if c["reg"]["name"] == "uar" else 1.0) * c["scene"]["n_views"]
@@ -62,9 +49,3 @@ def test_every_method_and_scene_is_tried() -> None:
     total, trials = estimate(cross, try_out)
     assert trials == 4
     assert total == pytest.approx(100 * (1 + 3 + 2 + 6) + 4 * 10 + 1 * 5)
-
-
-def test_steps_and_seeds_need_no_trial_of_their_own() -> None:
-    cross = [config(steps=steps, seed=seed) for steps in (100, 200) for seed in (0, 1)]
-    total, trials = estimate(cross, lambda c: Cost(1.0, 0.0, 0.0))
-    assert (total, trials) == (600, 1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pytest
-import yaml
 
 from framework.command.cli import main
 from framework.command.config.help import option_meanings
@@ -67,27 +66,3 @@ def test_the_help_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
     options = lines[lines.index("trainer:") :]
     unexplained = [line for line in options if line.startswith("  ") and "# " not in line]
     assert len(options) > 50 and all("name: " in line for line in unexplained)
-
-
-def test_the_help_of_parts_is_about_them_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help", "+augment=safi", "reg=[uar_hard,uniform]"]) == 0
-    text = capsys.readouterr().out
-    assert len(text.splitlines()) < 80
-    assert (
-        text.startswith("augment=safi: ") and "\nreg=uniform: dropout of random Gaussians" in text
-    )
-    assert "\nreg=uar_hard: UAR that removes" in text and "DropGaussian (Park et al." in text
-    config = yaml.safe_load(text.partition("KEY=VALUE:")[2].partition("All choices")[0])
-    assert set(config) == {"augment", "reg"} and config["reg"]["uar_hard"]["mode"] == "hard"
-    assert "  eta: 1.5 " in text and "# a view is a support if I_k" in text
-
-
-def test_the_help_of_a_choice_of_several_asks_for_one(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help", "reg=none,uar"]) == 2
-    message = capsys.readouterr().err
-    assert message.endswith("; name one, or several that work together, as reg=[a,b]\n"), message
-
-
-def test_an_unknown_choice_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help", "scene.name=embeded"]) == 2
-    assert "scene=embeded: unknown scene; did you mean 'embedded'?" in capsys.readouterr().err

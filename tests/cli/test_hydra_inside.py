@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
-
 from framework.command.config.schema import ROOT
-from framework.command.hydra_inside import argument_parser, jobs_of
+from framework.command.hydra_inside import argument_parser
 
 READ = ("help", "hydra_help", "cfg", "info", "shell_completion", "multirun", "resolve", "overrides")
 
@@ -16,12 +14,6 @@ def test_the_parser_has_the_flags_that_are_read() -> None:
     missing = [name for name in READ if name not in flags]
     message = "framework/command/overrides.py reads it"
     assert not missing, f"Hydra's parser lost {missing}: {message}"
-
-
-def test_a_sweep_is_split_as_the_runs_will_be() -> None:
-    parsed = OverridesParser.create().parse_overrides(["a=1,2", "b=x", "c=range(0,2)"])
-    expected = [[f"a={a}", "b=x", f"c={c}"] for a in (1, 2) for c in (0, 1)]
-    assert jobs_of(parsed) == expected, "Hydra's sweeper splits otherwise: study.sweep_jobs"
 
 
 def test_only_one_file_reaches_into_hydra() -> None:

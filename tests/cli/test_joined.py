@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
-
 from framework import registry
 from framework.command.cli import main
 from framework.command.config.check import check
-from framework.errors import UserError
 from framework.train.resume.training_state import Plugins
 from tests.cli.conftest import FakeRuns
 from tests.cli.test_config import composed
@@ -39,58 +36,3 @@ def test_a_list_is_a_choice_that_names_the_folder(runs: FakeRuns) -> None:
         "none-none-s0",
         "none-uar_uniform-s0",
     ]
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("reg=[uar,uar]", "error: reg=[uar,uar]: expected different names, got 'uar', 'uar'; "),
-        ("reg=[uar,nosuch]", "error: reg=nosuch: unknown reg; available: "),
-        ("augment=[safi,dba]", "error: augment=[safi,dba]: expected one augment, got 2; a run may"),
-        ("augment=safi+dba", "error: augment=safi+dba: unknown augment; "),
-        ("reg=[uar,uniform] reg.uar.q=3", "error: reg.uar.q: unknown option of reg=uar; "),
-        (
-            "reg=[uar,uniform] reg.p=0.3",
-            "error: reg.p: unknown option of reg; did you mean 'reg.uar",
-        ),
-        ("reg=[uar_hard,uniform] reg.mode=hard", "error: reg.mode: unknown option of reg; did you"),
-        ("capacity=[adc_paper,co_prune] capacity.every=3", "error: capacity.every: unknown option"),
-        (
-            "capacity=[adc_paper,co_prune] +capacity.every=3",
-            "error: capacity.every: unknown option",
-        ),
-        ("reg=[uar_hard,uniform] +reg.no=1", "error: reg.no: unknown option of reg=uar_hard+unif"),
-        (
-            "reg=[uar,uniform] +reg.p=0.3",
-            "error: reg.p: unknown option of reg=uar+uniform; did you",
-        ),
-        (
-            "reg=[uar,uniform] reg.no=0.3",
-            "error: reg.no: unknown option of reg; with several plugins",
-        ),
-        (
-            "method=coadapt_sweep reg.p=0.3",
-            "error: reg.p: unknown option of reg; with several plugins",
-        ),
-        ("reg=[uar,]", "error: reg=[uar,]: expected different names, got 'uar', ''"),
-    ],
-)
-def test_what_cannot_be_joined_is_told(
-    line: str, message: str, runs: FakeRuns, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(line.split()) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(message) and error.count("\n") == 1 and not runs.seen
-
-
-def test_a_part_without_options_is_told() -> None:
-    config = composed("reg=uar+uniform")
-    del config["reg"]["uniform"]
-    with pytest.raises(UserError, match=r"^reg\.uniform: expected a choice, got none"):
-        check(config)
-
-
-def test_the_help_tells_the_options_of_each(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help", "reg=[uar_hard,uniform]"]) == 0
-    message = capsys.readouterr().out
-    assert "  uar_hard:\n    name: uar\n" in message and "    count: bernoulli        # " in message

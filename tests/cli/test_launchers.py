@@ -17,29 +17,6 @@ from framework.command.config.schema import ROOT
 from framework.compute.jit import KERNEL_CACHE
 
 
-def test_failures_in_other_processes_reach_the_exit_code(tmp_path: Path) -> None:
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="no joblib launcher here")
-    (tmp_path / "empty").mkdir()
-    line = (
-        "hydra/launcher=joblib +reg=uar seed=0,1 scene=llff scene.path=empty depth=plane_sweep -m"
-    )
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "run.py"), *line.split()],
-        cwd=tmp_path,
-        env={**os.environ, "FISHERSPLAT_CACHE": str(tmp_path / "cache")},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 2, done.stderr
-    errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
-    assert len(errors) == 1 and "2 of 2 runs failed" in errors[0]
-    assert "Traceback" not in done.stderr
-    records = sorted((tmp_path / "reports" / "llff_empty_3v" / "runs").glob("*/record.json"))
-    assert [json.loads(path.read_text())["status"] for path in records] == ["failed", "failed"]
-    assert not list((tmp_path / "cache").glob("ledger-*"))
-
-
 def test_workers_end_with_the_command_that_started_them(tmp_path: Path) -> None:
     """Killed, so no process can report them."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="no joblib launcher here")

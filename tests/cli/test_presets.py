@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import pytest
-import yaml
 
 from framework import registry
-from framework.command.cli import main
 from framework.command.config.check import check
-from framework.command.config.schema import CONF_DIR, ROOT
+from framework.command.config.schema import CONF_DIR
 from framework.options import TrainerOptions
-from framework.scenes import LOADERS
 from framework.toolbox.dropout import DropoutRegularizer
 from framework.toolbox.warping import WarpingAugmenter
 from framework.train import schedule
-from tests.cli.conftest import FakeRuns
 from tests.cli.test_config import composed
 
 PAIRS = {
@@ -32,7 +27,6 @@ PAIRS = {
     "uar": ("none", "uar"),
     "safi_uar": ("safi", "uar"),
 }
-PLUGINS = {"dropgaussian": "uniform", "uar_hard": "uar"}  # of the variants
 
 
 def test_the_paper_s_conditions() -> None:
@@ -70,38 +64,6 @@ def test_the_paper_s_loss_and_its_threshold_are_in_the_same_units() -> None:
     assert [adc[key] for key in others] == [100, 500, 0.005, 3000, 0.01, 0.01]
 
 
-@pytest.mark.parametrize(("experiment", "share"), [("coarse_first", 1), ("few_first", 0.5)])
-def test_what_comes_late_in_a_coarse_first_training_comes_together(
-    experiment: str, share: float
-) -> None:
-    """Large images and new Gaussians; of the method's dose nothing changes. share: of the first
-    Gaussians."""
-    words = ("preset=paper", "method=safi_uar")
-    config, plain = composed(*words, f"experiment={experiment}"), composed(*words)
-    check(config)
-    options = TrainerOptions(**config["trainer"])
-    late = round(config["capacity"]["start"] * options.steps)
-    assert [schedule.coarse_factor(options, step) for step in (0, late - 1, late)] == [2, 2, 1]
-    assert config["capacity"]["start"] + 0.15 < config["capacity"]["stop"]
-    plain["init"]["per_pixel"] *= share
-    assert [config[group] for group in ("augment", "reg", "init")] == [
-        plain[group] for group in ("augment", "reg", "init")
-    ]
-
-
-@pytest.mark.parametrize(("name", "pair"), PAIRS.items())
-def test_a_method_is_a_pair(name: str, pair: tuple[str, str]) -> None:
-    config = composed(f"method={name}")
-    augment, reg = pair
-    assert (config["augment"]["name"], config["reg"]["name"]) == (augment, PLUGINS.get(reg, reg))
-    check(config)
-
-
-def test_a_choice_on_the_line_beats_the_method(runs: FakeRuns) -> None:
-    assert main(["method=safi_uar", "reg=none"]) == 0
-    assert runs.methods == [("safi", "none", 0)]
-
-
 @pytest.mark.parametrize("name", [n for n, pair in PAIRS.items() if n != "baseline"])
 def test_the_paper_s_dose_is_every_method_s(name: str) -> None:
     """And of the defaults nothing: they were chosen in this repository."""
@@ -131,51 +93,6 @@ def test_every_warping_augmenter_and_dropout_has_the_paper_s_dose() -> None:
     assert (changed["weight"], changed["every"], changed["roll"]) == (0.5, 3, False)
 
 
-def test_what_recipes_have_of_their_own_on_a_data_set() -> None:
-    """Each file is of a method and a scene that exist, changes what it composes to, and gives way
-    to the command line."""
-    files = sorted((CONF_DIR / "for_scene").glob("*.yaml"))
-    assert files
-    for file in files:
-        method, _, scene = file.stem.rpartition("_")
-        assert (CONF_DIR / "method" / f"{method}.yaml").is_file() and scene in LOADERS, file.name
-        elsewhere, there = (
-            composed("preset=paper", f"method={method}", f"scene={name}", "scene.path=DIR")
-            for name in ("llff", scene)
-        )
-        parts = [part for part in ("capacity", "reg", "trainer") if there[part] != elsewhere[part]]
-        assert parts, f"{file.name} changes nothing"
-    line = ("method=corgs", "scene=dtu", "scene.path=DIR", "reg.start=0.3")
-    assert composed(*line)["reg"]["start"] == 0.3
-
-
-ELSEWHERE = {"name", "weight", "seconds", "visits", "evaluations"}
-SHARED = {"start", "stop", "every", "form", "regulariser", "tolerance"}  # of several groups
-ELSEWHERE |= {"corruption", "strength", "corruption_seed"}
-
-
-@pytest.mark.parametrize(
-    "method", ["baseline", "uniform", "dropgaussian", "uar_hard", "dba", "full_set", "safi_uar"]
-)
-def test_the_page_of_the_paper_names_every_option_that_acts(method: str) -> None:
-    """All but the length of a training, the metrics and the corruption of depth;
-    weights act on pseudo views alone, which the page has."""
-    page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
-    for word in ("augment.weight=1", "augment.every=1", "augment.roll=false", "reg.p=0.2"):
-        assert f"`{word}`" in page
-    for word in ("trainer.pseudo_steps=own", "trainer.pseudo_mean=covered"):
-        assert f"`{word}`" in page
-    config = composed("preset=paper", f"method={method}")
-    reference = ("trainer", "init", "depth", "augment", "reg", "capacity")
-    groups = [group for group in reference if config[group].get("name") != "none"]
-    for group, option in ((g, o) for g in groups for o in config[g].keys() - ELSEWHERE):
-        of_one = sum(option in config[other] for other in groups) == 1 and option not in SHARED
-        place = rf"({group}\.)?" if of_one else rf"{group}\."
-        assert re.search(rf"`{place}{option}(=[^`]*)?`", page), f"{group}.{option}"
-        message = re.search(rf"\| [^|]*`{group}\.{option}=([^`]*)`", page)  # of a table
-        assert message is None or yaml.safe_load(message[1]) == config[group][option]
-
-
 RECIPES = sorted(
     path.stem for path in (CONF_DIR / "method").glob("*.yaml") if path.stem not in PAIRS
 )
@@ -185,7 +102,7 @@ OF_PAPERS = [name for name in RECIPES if not name.endswith("_here")]
 @pytest.mark.parametrize("name", RECIPES)
 def test_a_recipe_is_a_configuration_that_can_start(name: str) -> None:
     config = composed(f"method={name}", *(["preset=paper"] if name in OF_PAPERS else []))
-    if config["depth"]["name"] == "file":
+    if config["depth"]["name"] == "file":  # a recipe of a network's depth
         config["depth"]["path"] = "DIR"
     check(config)
     if name in OF_PAPERS:

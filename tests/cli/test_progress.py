@@ -54,31 +54,3 @@ def test_a_terminal_gets_one_line_in_place(columns: pytest.MonkeyPatch) -> None:
     text = told(1 / 41, in_place=True)
     assert text.count("\n") == 1
     assert "step 800/800 · 0 s left · test 22.31 dB · loss 0.0412 · 39957 Gaussians" in text
-
-
-def test_a_narrow_terminal_still_shows_the_time_left(columns: pytest.MonkeyPatch) -> None:
-    columns.setenv("COLUMNS", "80")
-    shown = told(1 / 41, in_place=True).split("\r\x1b[K")
-    assert max(len(line) for line in shown) <= 80
-    last = f"{LABEL} · step 800/800 · 0 s left · test 22.31 dB"
-    assert any(line.startswith(last) for line in shown)
-
-
-def test_a_training_without_test_views_says_so(columns: pytest.MonkeyPatch) -> None:
-    stream = io.StringIO()
-    line = Terminal(LABEL, stream, in_place=True, clock=Clock(1), tested=False)
-    line.step(1, 1, 0.1, 10)
-    assert "not tested · loss 0.1000 · 10 G" in stream.getvalue()
-
-
-def test_stages_and_notes_carry_the_label() -> None:
-    stream = io.StringIO()
-    line = Terminal("none+none seed 0", stream=stream, in_place=False)
-    line.stage("plane-sweep depth")
-    line.compiling("rasterizer")
-    line.note("reused")
-    assert stream.getvalue().splitlines() == [
-        "none+none seed 0 · plane-sweep depth",
-        "none+none seed 0 · compiling rasterizer",
-        "none+none seed 0 · reused",
-    ]

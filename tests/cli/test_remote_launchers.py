@@ -5,33 +5,26 @@ from __future__ import annotations
 import json
 import os
 import signal
-import site
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hydra.errors import MissingConfigException
 
 from benchmarks.studies import digests, leftovers
 from framework.command import cli
-from framework.command.complaints import one_line
 from framework.command.config.schema import ROOT
 from framework.command.launchers import manage, submission, supported
-from framework.command.launchers.sent import lead_to_this_code
 from framework.command.launchers.submission import (
     Run,
     Submission,
     new_submission,
     read_submission,
-    submissions,
     work,
 )
 from framework.command.studies.study import LEDGER_VARIABLE, Outcome
-from framework.errors import UserError
 from tests.cli.conftest import FakeRuns
 
 SMALL = (
@@ -81,27 +74,6 @@ def test_ray_makes_the_same_bytes(tmp_path: Path, expected: dict[str, str]) -> N
     assert "2 of 2 ended" in done.stdout and done.stdout.count("report: ") == 1
 
 
-def test_processes_run_the_code_that_the_command_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Not that which is installed; what was on the path before stays behind it."""
-    (tmp_path / "framework").mkdir()
-    (tmp_path / "framework" / "__init__.py").write_text("")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["/elsewhere", str(tmp_path)]))
-    lead_to_this_code(tmp_path)
-    assert os.environ["PYTHONPATH"] == os.pathsep.join([str(tmp_path), "/elsewhere"])
-    message = [sys.executable, "-c", "import framework; print(framework.__file__)"]
-    actual = subprocess.run(message, cwd="/", capture_output=True, text=True, check=True).stdout
-    assert actual.strip() == str(tmp_path / "framework" / "__init__.py")
-
-
-def test_code_in_site_packages_needs_no_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In front of Python's own modules it would hide some."""
-    monkeypatch.delenv("PYTHONPATH", raising=False)
-    lead_to_this_code(Path(site.getsitepackages()[0]).resolve())
-    assert "PYTHONPATH" not in os.environ
-
-
 @pytest.mark.parametrize(("module", "words"), [(SUBMITIT, LOCAL), (RAY, RAY_HERE)])
 def test_failures_elsewhere_reach_the_table(tmp_path: Path, module: str, words: str) -> None:
     pytest.importorskip(module, reason=f"{module} is an extra")
@@ -116,13 +88,10 @@ def test_failures_elsewhere_reach_the_table(tmp_path: Path, module: str, words: 
     assert [json.loads(path.read_text())["status"] for path in records] == ["failed", "failed"]
 
 
-@pytest.mark.parametrize(("workers", "code"), [(1, 1), (2, 0)])
-def test_a_killed_worker_costs_no_byte(
-    tmp_path: Path, expected: dict[str, str], workers: int, code: int
-) -> None:
-    """Another worker does its run; where there is none, the same command again."""
+def test_a_killed_worker_costs_no_byte(tmp_path: Path, expected: dict[str, str]) -> None:
+    """Where no other worker can do its run, the same command again does it."""
     pytest.importorskip(SUBMITIT, reason="submitit is an extra")
-    line = f"{SMALL} hydra/launcher=submitit_local hydra.launcher.n_jobs={workers} seed=0,1 -m"
+    line = f"{SMALL} hydra/launcher=submitit_local hydra.launcher.n_jobs=1 seed=0,1 -m"
     with subprocess.Popen(
         [sys.executable, str(ROOT / "run.py"), *line.split()],
         cwd=tmp_path,
@@ -133,10 +102,10 @@ def test_a_killed_worker_costs_no_byte(
         wait_for(lambda: holders(tmp_path))
         os.kill(holders(tmp_path)[0], signal.SIGKILL)
         out, err = running.communicate(timeout=300)
-    assert running.returncode == code, err
-    assert ("runs ended without a result" in err and "lost: " in out) == bool(code)
+    assert running.returncode == 1, err
+    assert "runs ended without a result" in err and "lost: " in out
     logs = list((tmp_path / "reports" / ".submitted").glob("*/log"))
-    assert len(logs) == code, "kept where a run was lost"
+    assert len(logs) == 1, "kept where a run was lost"
     again = command(tmp_path, line)
     assert again.returncode == 0 and "2 of 2 ended" in again.stdout, again.stderr
     study = tmp_path / "reports" / "far"
@@ -149,37 +118,6 @@ def holders(folder: Path) -> list[int]:
     return [int(json.loads(text)["pid"]) for text in texts if text]
 
 
-def test_a_missing_extra_is_named(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(supported, "_installed", lambda module: False)
-    assert supported.missing_extra("ray") == "ray" and supported.missing_extra("joblib") is None
-    assert cli.main(["study", "submit", "seed=0,1"]) == 2
-    assert "pip install 'fishersplat[submitit]'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        (
-            "ray",
-            "hydra-ray-launcher to be installed, found it missing; pip install 'fishersplat[ray",
-        ),
-        (
-            "submitit_slurm",
-            "hydra-submitit-launcher to be installed, found it missing; pip install",
-        ),
-        ("rya", "unknown hydra/launcher; available: basic, joblib, ray, submitit_local, "),
-    ],
-)
-def test_the_package_of_a_missing_launcher_is_named(
-    monkeypatch: pytest.MonkeyPatch, name: str, message: str
-) -> None:
-    monkeypatch.setattr(supported, "_installed", lambda module: False)
-    error = MissingConfigException("", f"hydra/launcher/{name}", ["basic", "joblib"])
-    assert message in one_line(error)
-
-
 # submissions, without processes
 
 
@@ -190,13 +128,6 @@ def outcome(number: int, folder: Path, error: str | None = None, busy: bool = Fa
 def a_submission(folder: Path, n_runs: int = 4) -> Submission:
     runs = [(i, [f"seed={i}"]) for i in range(n_runs)]
     return new_submission(folder, "study submit seed=...", "local", runs, True)
-
-
-def test_the_newest_submission_is_the_last_one_made(tmp_path: Path) -> None:
-    first, second = a_submission(tmp_path), a_submission(tmp_path)
-    (first.folder / "notes").write_text("later")
-    assert submissions(tmp_path) == [first.folder, second.folder]
-    assert read_submission(second.folder) == replace(second, jobs=[])
 
 
 @pytest.fixture
@@ -228,18 +159,6 @@ def test_workers_share_the_runs(
     assert "all ended, 3 of 4 runs done, 1 failed, 0 left" in capsys.readouterr().out
 
 
-def test_the_run_of_a_lost_worker_is_taken_up(tmp_path: Path, reported: list[int]) -> None:
-    """It is busy until its worker is killed."""
-    tries = list[int]()
-
-    def do(run: Run) -> Outcome:
-        tries.append(run[0])
-        return outcome(run[0], tmp_path, busy=len(tries) == 1)
-
-    work(a_submission(tmp_path, 2), do)
-    assert tries == [0, 1, 0] and reported == [1]
-
-
 def test_cancel_interrupts_and_forgets_nothing(
     tmp_path: Path, reported: list[int], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -260,13 +179,6 @@ def test_cancel_interrupts_and_forgets_nothing(
     assert "cancelled, 1 of 4 runs done" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("content", ["[]", '{"command": "x"}', '{"folder": "/", "odd": 1}'])
-def test_a_file_of_another_program_is_refused(tmp_path: Path, content: str) -> None:
-    (tmp_path / submission.FILE).write_text(content)
-    with pytest.raises(UserError, match="expected a file of `study submit`"):
-        read_submission(tmp_path)
-
-
 def test_submitted_polled_collected(tmp_path: Path) -> None:
     pytest.importorskip(SUBMITIT, reason="submitit is an extra")
     done = command(tmp_path, f"study submit {SMALL} hydra.launcher.n_jobs=1 seed=0")
@@ -279,6 +191,15 @@ def test_submitted_polled_collected(tmp_path: Path) -> None:
     assert "all ended, 1 of 1 runs done, 0 failed" in message.stdout
     collected = command(tmp_path, "study collect")
     assert collected.returncode == 0 and "report: reports/far/report.md" in collected.stdout
+
+
+def test_a_missing_extra_is_named(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(supported, "_installed", lambda module: False)
+    assert supported.missing_extra("ray") == "ray" and supported.missing_extra("joblib") is None
+    assert cli.main(["study", "submit", "seed=0,1"]) == 2
+    assert "pip install 'fishersplat[submitit]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -54,12 +53,6 @@ def _started(body: str, folder: Path, *words: str) -> subprocess.Popen[str]:
     )
 
 
-def _ended(body: str, folder: Path, *words: str) -> tuple[int, str, str]:
-    process = _started(body, folder, *words)
-    out, err = process.communicate(timeout=60)
-    return process.returncode, out, err
-
-
 def _raising(error: str) -> str:
     return GOOD.replace('    progress.done("finished")', f"    {error}")
 
@@ -74,23 +67,6 @@ def test_a_run_and_its_report(tmp_path: Path) -> None:
         f"report by {process.pid}",
         "report: reports/embedded/report.md",
     ]
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "message"),
-    [
-        ('from framework.errors import UserError; raise UserError("a: expected b, got c")', 2,
-         "error: a: expected b, got c\n"),
-        ('from framework.files.locks import Busy; raise Busy("x: expected no other")', 3,
-         "error: x: expected no other; then repeat the same command\n"),
-        ('raise PermissionError(13, "Permission denied", "/secret")', 2,
-         "error: /secret: expected what may be opened, got 'Permission denied'; change its rights"
-         " or choose another, and run the same again\n"),
-    ],
-)  # fmt: skip
-def test_bad_input_is_one_line(error: str, code: int, message: str, tmp_path: Path) -> None:
-    ended = _ended(_raising(error), tmp_path)
-    assert ended[0] == code and ended[2] == message
 
 
 SLOW = _raising("""
@@ -120,30 +96,6 @@ def test_ctrl_c_ends_run_and_command(tmp_path: Path) -> None:
     assert err.startswith("error: interrupted; results are kept") and err.count("\n") == 1
 
 
-def test_ctrl_c_while_the_command_line_is_read(tmp_path: Path) -> None:
-    """At whatever moment: it ends, and as interrupted."""
-    for delay in (0.0, 0.1, 0.2, 0.3, 0.4, 0.5):
-        process = _started(SLOW + "\nprint('ready', flush=True)\n", tmp_path)
-        assert process.stdout is not None and process.stdout.readline() == "ready\n"
-        time.sleep(delay)
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=30)
-        assert process.returncode in (130, -signal.SIGINT), err  # the latter before main
-
-
-def test_streams_may_be_closed(tmp_path: Path) -> None:
-    line = f'{sys.executable} -c "$0" augment=nope'
-    for closed in (">&-", "2>&-"):
-        done = subprocess.run(
-            ["bash", "-c", f"{line} {closed}", SCRIPT.format(body=GOOD)],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 2 and "Traceback" not in done.stderr
-
-
 def test_a_run_goes_on_without_a_reader(tmp_path: Path) -> None:
     """As after `| head -1`: the output is discarded, and the rest is unchanged."""
     body = """
@@ -164,16 +116,3 @@ def build_report(folder):
     (tmp_path / "unread").touch()
     assert process.stderr.read() == ""
     assert process.wait(60) == 0 and (tmp_path / "built").exists()
-
-
-def test_a_report_that_cannot_be_imported_is_told(tmp_path: Path) -> None:
-    script = SCRIPT.replace("report.build_report = build_report", "")
-    process = subprocess.run(
-        [sys.executable, "-c", script.format(body=GOOD)],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-    )
-    assert process.returncode == 1
-    assert "error: report of reports/embedded: ImportError" in process.stderr

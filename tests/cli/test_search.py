@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -17,11 +16,6 @@ from framework.command.search.trial import Result
 from framework.errors import UserError
 from framework.records.search import SEARCH, read_search
 from framework.scenes.splits import HELD_OUT, PROTOCOLS, UNTESTED, protocol
-
-
-def test_an_option_given_twice_is_refused() -> None:
-    with pytest.raises(UserError, match=r"seed: expected one value, got two words \(seed=1 and"):
-        space_of(["seed=1", "seed=2", "trainer.lr_scale=interval(1.0,2.0)"])
 
 
 def test_the_grammar_of_a_space() -> None:
@@ -65,11 +59,6 @@ def test_held_out_views_train_as_before_and_test_nothing(name: str, n_views: int
     assert not {*held.test} & {*usual.test, *usual.train}
 
 
-def test_without_a_view_to_hold_out() -> None:
-    with pytest.raises(UserError, match="lower n_views"):
-        protocol(f"llff{HELD_OUT}").split([f"{i:02d}" for i in range(20)], "all", "here")
-
-
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
@@ -77,8 +66,6 @@ def test_without_a_view_to_hold_out() -> None:
         ("+augment=safi reg=none,[uar,depth_rank]", "choose another, test views may not choose"),
         ("trainer.lr_scale=2", "expected an option that varies"),
         ("reg=none,uar seed=0,1,2", "got seed, which would choose what is measured; give one"),
-        ("scene.split=llff,llff_drawn0 scene=llff scene.path=x", "got scene.split, which would"),
-        ("+scene=llff,dtu seed=0,1", "got scene and seed, which would choose what is measured"),
         ("hydra.sweep.dir=x reg=none,uar", "expected options of a run"),
         ("reg=none,uar trainer.lr_scale=interval(-1.0,2.0)", "trainer.lr_scale"),
     ],
@@ -166,38 +153,3 @@ def test_a_forged_search_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / SEARCH).write_text(content)
     with pytest.raises(UserError, match="expected the trials of a search"):
         read_search(tmp_path)
-
-
-def test_the_report_of_a_search_says_what_judged(tmp_path: Path) -> None:
-    from framework.report import build_report
-    from tests.report.studies import write_study
-
-    write_study(tmp_path, scenes=1, seeds=1)
-    table = {
-        "metric": "psnr",
-        "fixed": ["scene=llff"],
-        "trials": [
-            *(
-                {
-                    "number": i,
-                    "value": 20.0 + i,
-                    "words": [f"x={i}"],
-                    "run": "r",
-                    "train_s": 1.0,
-                    "error": None,
-                }
-                for i in range(2)
-            ),
-            {
-                "number": 2,
-                "value": None,
-                "words": ["x=9"],
-                "run": None,
-                "train_s": None,
-                "error": "broken",
-            },
-        ],
-    }
-    (tmp_path / SEARCH).write_text(json.dumps(table))
-    text = build_report(tmp_path).read_text()
-    assert "Best of 3 trials by PSNR (21.00): `x=1`" in text and "broken" in text

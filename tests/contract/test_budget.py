@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from framework.options import TrainerOptions
-from framework.run.budget import FILE, Choice, choose, chosen
+from framework.run.budget import choose, chosen
 from framework.train import schedule
 
 MINUTE = TrainerOptions(seconds=60.0)
@@ -56,19 +56,3 @@ def test_a_choice_is_kept_for_the_same_run_alone(tmp_path: Path) -> None:
     assert asked == [8, 60, 12, 12] and first.step_s == pytest.approx(0.2)
     assert chosen(tmp_path, "mine", MINUTE, 30, trial) == first and len(asked) == 4
     assert chosen(tmp_path, "other", MINUTE, 30, trial) != first and len(asked) == 8
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"steps": "many"}', "[" * 10_000])
-def test_a_damaged_choice_is_made_anew(tmp_path: Path, text: str) -> None:
-    (tmp_path / FILE).write_text(text)
-    assert chosen(tmp_path, "mine", MINUTE, 3, lambda o: 0.1 * o.steps).steps == 599
-
-
-def test_what_was_chosen_is_told_as_it_is_typed() -> None:
-    choice = Choice("a", 60.0, 0.1, 300, 2, 0, 0.25)
-    message = choice.record["repeat"].split()
-    inputs = {
-        word.partition("=")[0].removeprefix("trainer."): word.partition("=")[2] for word in message
-    }
-    again = choice.applied(MINUTE)
-    assert {name: str(getattr(again, name)).removesuffix(".0") for name in inputs} == inputs

@@ -45,20 +45,6 @@ def run(environment: dict[str, str], folder: Path, line: str) -> subprocess.Comp
     )
 
 
-def test_it_is_a_choice_like_any_other(installed: dict[str, str], tmp_path: Path) -> None:
-    done = run(installed, tmp_path, "--help reg=smooth_depth")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("reg=smooth_depth: ")
-    assert "neighbouring pixels should see similar depth" in done.stdout.splitlines()[0]
-    assert "edge: 10.0" in done.stdout and "weight: 0.01" in done.stdout
-
-
-def test_its_check_is_a_one_line_error(installed: dict[str, str], tmp_path: Path) -> None:
-    done = run(installed, tmp_path, "reg=smooth_depth reg.edge=-1")
-    assert done.returncode == 2
-    assert done.stderr == "error: reg.edge: expected a number >= 0, got -1.0\n"
-
-
 def test_they_train(installed: dict[str, str], tmp_path: Path) -> None:
     line = "+augment=two_nearest +reg=smooth_depth depth=ground_truth init.budget=2000"
     short = "trainer.steps=8 trainer.evaluations=1 hydra.run.dir=out scene.width=96 scene.height=72"

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from framework import registry
-from framework.errors import PluginError, UserError
+from framework.errors import UserError
 from framework.plugin import Augmenter, Capacity, Edits, Regularizer, register
 from framework.run.plane import textured_plane
 from framework.train import hooks
@@ -29,12 +29,10 @@ def plugin(base: type, group: str) -> Any:
     ("result", "message"),
     [
         (None, r"expected to return \(list of views, state\), got NoneType"),
-        ([VIEW], r"expected to return \(list of views, state\), got list"),
         ((VIEW, None), "expected a list of views, got View"),
         (([VIEW.image], None), "view 0: expected a View, got Tensor"),
         (([dataclasses.replace(VIEW, mask=VIEW.image)], None), r"view 0.mask: .* \[48, 64\], got"),
         (([dataclasses.replace(VIEW, image=VIEW.image[:, 1:])], None), r"view 0.image: .*got"),
-        (([dataclasses.replace(VIEW, image=VIEW.image.double())], None), "got float64"),
         (([dataclasses.replace(VIEW, image=VIEW.image * torch.nan)], None), "got NaN"),
         (([dataclasses.replace(VIEW, image=VIEW.image + torch.inf)], None), "got infinity"),
     ],
@@ -51,7 +49,6 @@ def test_pseudo_views(result: object, message: str) -> None:
         ((torch.ones(2), None), r"expected float32 \[3\], got float32 \[2\]"),
         ((0.5, None), "got float"),
         ((torch.tensor([1.0, -0.1, 1.0]), None), "expected finite numbers >= 0"),
-        ((torch.tensor([1.0, torch.inf, 1.0]), None), "expected finite numbers >= 0"),
     ],
 )
 def test_opacity_factors(result: object, message: str) -> None:
@@ -126,14 +123,6 @@ def test_the_gradients_that_a_capacity_asks_for() -> None:
         object.__setattr__(asking, "gradients", names)
         with pytest.raises(UserError, match=r"^capacity=mine: gradients: expected a tuple of some"):
             hooks.requested_gradients(asking)
-
-
-def test_edits_of_nothing_are_told_from_others() -> None:
-    assert not Edits().changes_something
-    assert Edits(values={"means": torch.zeros(3, 3)}).changes_something
-    assert Edits(opacity_ceiling=0.5).changes_something
-    kept = torch.tensor([True, False, True])
-    assert Edits(keep=kept).changes_something and not Edits(keep=kept | True).changes_something
 
 
 def test_a_step_of_its_own_and_another_gradient() -> None:
@@ -218,30 +207,3 @@ def test_what_a_plugin_s_own_checks_raise_names_it() -> None:
         register("reg", "picky")(Picky)
         with pytest.raises(UserError, match=r"^reg=picky: raised AttributeError: .*__post_init__"):
             registry.build("reg", {"name": "picky"})
-
-
-def test_a_hook_that_raises_is_placed() -> None:
-    mine = plugin(Capacity, "capacity")
-    with (
-        pytest.raises(
-            PluginError, match=r"capacity=mine: update, step 39: raised.*: lost \(test_ho"
-        ),
-        hooks.checked_call(mine, "update", 39, THREE),
-    ):
-        raise ValueError("lost")
-    with (
-        pytest.raises(UserError, match=r"^mine: no$"),
-        hooks.checked_call(mine, "update", 39, THREE),
-    ):
-        raise UserError("mine: no")
-
-
-def test_what_a_hook_is_given_it_may_not_write_into() -> None:
-    mine, inputs = plugin(Augmenter, "augment"), THREE.clone()
-    with hooks.checked_call(mine, "pseudo_views", 3, inputs):
-        inputs.means.clone().add_(1)
-    with (
-        pytest.raises(UserError, match=r"^augment=mine: pseudo_views, step 3: expected ctx\.gauss"),
-        hooks.checked_call(mine, "pseudo_views", 3, inputs),
-    ):
-        inputs.opacity_logits.add_(1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import math
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -12,17 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from scipy.integrate import quad
 
 from framework.compute.parallel import set_threads
-from framework.errors import UserError
 from framework.geometry import distance, mean_neighbour_distance, moved_aside
 from framework.metrics.evaluate import psnr
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import DIVERGED, parameters_sha256
-from framework.run.members import IDLE, join, member_seed, thinner
+from framework.run.members import join, member_seed, thinner
 from framework.run.plane import textured_plane
 from framework.run.student import cameras
 from framework.run.training import Run, renderer, train
@@ -30,7 +27,7 @@ from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints
 from framework.train.trainer import Trained
 from framework.types import Gaussians, Scene
-from tests.contract.test_training import EAGER, NEUTRAL
+from tests.contract.test_training import EAGER
 
 OPTIONS = TrainerOptions(steps=12, sh_degree=1, sh_every=4, evaluations=2, members=2, tuning=0.5)
 STEPS = 2 * 12 + 6 + 9  # of the members, their tuning and their student
@@ -113,15 +110,6 @@ def test_a_model_joined_with_itself_renders_as_before(tmp_path: Path) -> None:
         assert isinstance(difference, float) and difference > 32
 
 
-def test_gaussians_with_bands_stay_first() -> None:
-    whole = textured_plane(1)[2]
-    bands = torch.arange(len(whole)) % 3 == 0
-    part = whole.with_bands(bands)
-    joined = join([part, whole])
-    assert len(joined) == 2 * len(whole) and len(joined.shN) == len(part.shN) + len(whole.shN)
-    assert torch.equal(joined.means[: len(part.shN)], part.means[: len(part.shN)])
-
-
 def test_the_first_member_is_the_training_of_one(tmp_path: Path) -> None:
     alone = trained(tmp_path / "a", members=1)
     joined = trained(tmp_path / "b")
@@ -136,7 +124,7 @@ def test_members_that_diverge_at_the_same_time_end_in_one_line(
 ) -> None:
     broken = textured_plane(1)[2].map(lambda tensor: tensor * math.nan)
     monkeypatch.setitem(globals(), "start", lambda seed: broken.clone())
-    for k in range(10):
+    for k in range(3):
         with pytest.raises(Diverged, match=r"member \d, training step 0 .*the state is in"):
             trained(tmp_path / str(k), n_threads=2)
         assert [path.name for path in (tmp_path / str(k)).iterdir()] == [DIVERGED]
@@ -148,7 +136,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return trained(tmp_path_factory.mktemp("whole"))
 
 
-@pytest.mark.parametrize(("at", "n_threads"), [(5, 1), (12, 1), (17, 2), (24, 2), (27, 1), (35, 1)])
+@pytest.mark.parametrize(("at", "n_threads"), [(12, 1), (17, 2), (27, 1), (35, 1)])
 def test_an_interrupted_one_ends_with_the_same_bits(
     tmp_path: Path, at: int, n_threads: int, monkeypatch: pytest.MonkeyPatch, whole: Any
 ) -> None:
@@ -163,14 +151,6 @@ def test_an_interrupted_one_ends_with_the_same_bits(
     # the other member may have finished the step that it was in, and begun another
     assert at <= progress.told[0][0] <= at + 3 * (n_threads - 1) and again.resumed == 1
     assert progress.notes == [f"going on at step {progress.told[0][0] - 1} of {STEPS}"]
-
-
-def test_one_that_fails_ends_the_others(tmp_path: Path) -> None:
-    """A run that cannot succeed is not trained to its end."""
-    progress = Stopping(10)
-    with pytest.raises(KeyboardInterrupt):
-        trained(tmp_path, progress, n_threads=2, steps=500)
-    assert progress.told[-1][0] <= 20
 
 
 @pytest.mark.parametrize(("members", "steps"), [(1, 12), (2, STEPS)])
@@ -216,46 +196,3 @@ def test_the_teacher_stands_between_and_around_the_photos() -> None:
     for camera in made:
         nearest = min(distance(camera, view.camera) for view in training.views)
         assert nearest < 4 * 0.5 * (spacing or training.extent)
-
-
-def test_without_tuning_the_joined_set_is_the_result(tmp_path: Path) -> None:
-    joined = trained(tmp_path, tuning=0.0, kept=0)
-    last = joined.history[-1]
-    assert last.step == 24 and last.gaussians == len(joined.gaussians)
-    views, background = textured_plane(1)[0].views, joined.background
-    render = renderer(
-        joined.gaussians, background, 1, OPTIONS.near_plane * textured_plane(1)[0].near
-    )
-    assert last.test_psnr == psnr(render(views[0].camera), views[0].image, views[0].mask)
-
-
-def test_what_did_nothing_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING, "framework"):
-        trained(tmp_path, sh_every=1000)
-    assert caplog.text.count("only degree 0 was active, because 12 steps") == 1
-    assert caplog.text.count("was active") == 1
-
-
-def test_tuning_without_members_to_tune_is_told(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    with caplog.at_level(logging.WARNING, "framework"):
-        trained(tmp_path / "two", members=2, tuning=0.5)
-        trained(tmp_path / "one", members=1, tuning=TrainerOptions.tuning)
-        assert "tuning" not in caplog.text
-        trained(tmp_path / "chosen", members=1, tuning=0.5)
-        trained(tmp_path / "kept", members=2, kept=2)
-    assert caplog.text.count("trainer.tuning=0.5: with trainer.members=1") == 1
-    assert caplog.text.count("trainer.kept=2: with 2 trainings") == 1
-
-
-@pytest.mark.parametrize(
-    "changes", [{"members": -1}, {"members": 17}, {"kept": -1}, {"tuning": -0.1}]
-)
-def test_options_out_of_range_are_refused(changes: dict[str, Any]) -> None:
-    with pytest.raises(UserError, match=rf"trainer\.{next(iter(changes))}: expected"):
-        TrainerOptions(**changes)
-
-
-def test_every_group_has_an_idle_choice() -> None:
-    assert {group: choice["name"] for group, choice in IDLE.items()} == NEUTRAL

@@ -16,17 +16,14 @@ import pytest
 import torch
 
 from framework import registry
-from framework.command.config.check import check
 from framework.command.config.schema import OBJECT_GROUPS, ROOT, choices, rows
 from framework.errors import UserError
-from framework.metrics.evaluate import evaluate, plugged
-from framework.metrics.values import MEASURES, Missing, measures
+from framework.metrics.evaluate import plugged
+from framework.metrics.values import Missing
 from framework.plugin import DepthProvider, Initializer, Metric, SceneLoader
-from framework.records.run_files import METRICS_CSV, metrics_csv, read_table
 from framework.run import answers
 from framework.run.plane import textured_plane
 from framework.types import Gaussians, Scene
-from tests.cli.conftest import composed
 from tests.documents.pages import blocks
 from tests.documents.registered import as_before
 
@@ -146,16 +143,6 @@ def test_a_metric_measures_and_changes_nothing(name: str) -> None:
     assert torch.equal(render, kept[0]) and torch.equal(truth, kept[1])
 
 
-def test_what_a_metric_measures_is_saved_and_read_again(tmp_path: Path) -> None:
-    view = textured_plane(0)[0].views[0]
-    actual, _ = evaluate(
-        lambda camera: view.image * 0.9, [view], also={"edges": MEASURES["edges"]()}
-    )
-    assert actual[0].value("edges") == actual[0].also["edges"] > 0
-    (tmp_path / METRICS_CSV).write_text(metrics_csv(actual, ["view"]), encoding="utf-8")
-    assert read_table(tmp_path / METRICS_CSV).numbers["edges"][0] == actual[0].value("edges")
-
-
 def test_a_metric_that_fails_costs_no_training() -> None:
     class Broken:
         def measure(self, *_: object) -> float:
@@ -170,18 +157,6 @@ def test_a_metric_that_fails_costs_no_training() -> None:
         "odd raised RuntimeError: two; lines"
     )
     assert plugged("odd", Endless(), image, image, None) == Missing("odd gave no finite value")
-
-
-@pytest.mark.parametrize("chosen", ["edgse", "edges+edges", "", "edges+"])
-def test_odd_choices_of_metrics_are_refused(chosen: str) -> None:
-    with pytest.raises(UserError, match=r"^metrics\.also: "):
-        measures(chosen)
-
-
-def test_a_chosen_metric_passes_the_check() -> None:
-    assert measures("edges") == ["edges"] and measures(None) == []
-    config = composed()
-    check(config | {"metrics": config["metrics"] | {"also": "edges"}})
 
 
 def test_wrong_answers_name_their_plugin() -> None:

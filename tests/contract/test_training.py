@@ -7,6 +7,7 @@ shortened by `EAGER`; a plugin without an entry there trains with its defaults.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
@@ -72,6 +73,7 @@ def content_sha256(value: Any) -> str:
     return digest.hexdigest()
 
 
+@functools.cache
 def train(**names: str) -> tuple[Trained, bool]:
     """A training with the named plugins, all active throughout, and whether its input is intact."""
     chosen = {**NEUTRAL, **names}
@@ -108,7 +110,8 @@ def test_the_result_is_finite_and_the_input_untouched(group: str, name: str) -> 
 
 @pytest.mark.parametrize(("group", "name"), ALL)
 def test_the_same_training_has_the_same_bits(group: str, name: str) -> None:
-    assert bits(**{group: name}) == bits(**{group: name})
+    again, _ = train.__wrapped__(**{group: name})
+    assert parameters_sha256(again.gaussians) == bits(**{group: name})
 
 
 @pytest.mark.parametrize(("group", "name"), ALL)

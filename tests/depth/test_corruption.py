@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from framework.compute.rng import stream
-from framework.depth.corruption import BIAS, BLUR_LENGTH, HOLES, NOISE, corrupt, normal_field
+from framework.depth.corruption import BLUR_LENGTH, NOISE, corrupt
 from framework.depth.provider import CORRUPTIONS
 from framework.types import DepthMap
 from tests.built import build_provider
@@ -61,25 +60,6 @@ def test_noise_has_the_stated_deviation_and_grows_with_the_strength() -> None:
     assert not np.allclose(full[0], full[1])
 
 
-def test_bias_is_one_factor_per_view_spread_over_the_range() -> None:
-    shares = [error / BIAS for error in log_errors("bias", 1.0)]
-    assert max(share.std() for share in shares) < 1e-5
-    assert sorted(share.mean() for share in shares) == pytest.approx([-1, 0, 1], abs=1e-5)
-
-
-def test_holes_take_the_stated_share_nested_and_without_confidence() -> None:
-    reference = float((step_maps()[0].depth > 0).sum())
-    small, large = (corrupt(step_maps(), ["holes"], s, 0)[0] for s in (0.25, 1.0))
-    for spoiled, strength in ((small, 0.25), (large, 1.0)):
-        left = float((spoiled.depth > 0).sum())
-        assert left == pytest.approx((1 - HOLES * strength) * reference, abs=1)
-        assert torch.equal(spoiled.confidence > 0, spoiled.depth > 0)
-    assert bool(((small.depth > 0) | (large.depth == 0)).all())
-    gone = (small.depth[1:] == 0).float()
-    borders = (gone.diff(dim=0) != 0).float().mean() + (gone.diff(dim=1) != 0).float().mean()
-    assert float(borders) < 0.15  # blobs: single pixels would give 2 * 2 * 0.225 * 0.775 = 0.7
-
-
 def test_blur_spreads_the_edge_alone() -> None:
     spoiled = corrupt(step_maps(), ["blur"], 1.0, 0)[0]
     sigma_px = BLUR_LENGTH * float(np.hypot(*SIZE))
@@ -89,18 +69,3 @@ def test_blur_spreads_the_edge_alone() -> None:
     away = np.abs(np.arange(200) - 99.5) > 5 * sigma_px
     np.testing.assert_allclose(row[away], step_maps()[0].depth[75].numpy()[away], rtol=1e-4)
     assert torch.equal(spoiled.confidence, step_maps()[0].confidence)
-
-
-def test_corruptions_act_in_the_order_given() -> None:
-    order = ("holes", "blur")
-    both, reverse = (corrupt(step_maps(), kinds, 1.0, 0) for kinds in (order, order[::-1]))
-    one_by_one = corrupt(corrupt(step_maps(), ["holes"], 1.0, 0), ["blur"], 1.0, 0)
-    assert torch.allclose(both[0].depth, one_by_one[0].depth, rtol=1e-5)
-    assert not torch.allclose(both[0].depth, reverse[0].depth, rtol=1e-2)
-
-
-def test_the_field_is_standard_normal_and_smooth() -> None:
-    fields = np.stack([normal_field((64, 96), 0.02, stream(0, "test", i)) for i in range(40)])
-    assert abs(fields.mean()) < 0.05
-    assert fields.std() == pytest.approx(1.0, abs=0.05)
-    assert np.corrcoef(fields[:, :, 1:].ravel(), fields[:, :, :-1].ravel())[0, 1] > 0.9

@@ -19,7 +19,7 @@ from framework.depth.network import load_network, normalised_poses
 from framework.errors import UserError
 from framework.types import Camera, TrainingSet
 from tests.built import build_provider
-from tests.depth.plane import NORMAL, OFFSET, camera, no_points, plane_depth, plane_scene, view
+from tests.depth.plane import NORMAL, OFFSET, camera, plane_depth, plane_scene, view
 
 NETWORK_SIZE = (56, 84)  # multiples of 14, near the aspect ratio of the views
 
@@ -147,88 +147,6 @@ def test_depth_comes_back_in_scene_units(
         assert confident.max() == pytest.approx(0.75) and (confident > 0).mean() > 0.8
 
 
-def test_poses_go_in_centred_and_of_unit_size(
-    monkeypatch: pytest.MonkeyPatch, weights: Path
-) -> None:
-    scene = equal_views()
-    network = stand_in(scene)
-    install(monkeypatch, network)
-    provider(weights).estimate(scene)
-    poses = network.calls[0]["extrinsics"].astype(float)
-    centers = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
-    assert np.abs(centers.mean(0)).max() < 1e-5
-    assert np.median(np.linalg.norm(centers, axis=1)) == pytest.approx(1, rel=1e-5)
-    np.testing.assert_allclose(poses[:, :3, :3], [v.camera.viewmat[:3, :3] for v in scene.views])
-    pixels = network.calls[0]["image"][1]
-    np.testing.assert_allclose(pixels / 255, scene.views[1].image.permute(1, 2, 0), atol=0.002)
-
-
-def test_sky_invalid_values_and_contradicted_pixels_get_no_confidence(
-    monkeypatch: pytest.MonkeyPatch, weights: Path
-) -> None:
-    def spoil(answer: Answer) -> None:
-        answer.sky = np.zeros(answer.depth.shape, bool)
-        answer.sky[:, :14] = True
-        answer.depth[1, 14:28] = np.nan
-        answer.depth[2, 30:, :] *= 1.5
-
-    scene = equal_views()
-    network = stand_in(scene)
-    network.change = spoil
-    install(monkeypatch, network)
-    maps = provider(weights, align="none").estimate(scene)
-    assert float(maps[0].depth[:16].max()) == float(maps[0].confidence[:16].max()) == 0
-    assert float(maps[1].confidence[:34].max()) == 0
-    assert float(maps[2].confidence[42:].max()) == 0 and float(maps[2].depth[42:].min()) > 0
-    assert float(maps[0].confidence[40:].max()) > 0
-
-
-def test_units_of_its_own_are_refused_when_nothing_aligns_them(
-    monkeypatch: pytest.MonkeyPatch, weights: Path
-) -> None:
-    def own_poses(answer: Answer) -> None:
-        answer.extrinsics = 2 * answer.extrinsics
-
-    scene = equal_views()
-    network = stand_in(scene)
-    network.change = own_poses
-    install(monkeypatch, network)
-    provider(weights).estimate(scene)  # the points set the scale
-    with pytest.raises(UserError, match=r"own units .* use depth\.align=points"):
-        provider(weights, align="none").estimate(scene)
-
-
-def fail(answer: Answer) -> None:
-    raise RuntimeError("Degenerate covariance rank")
-
-
-def test_what_cannot_work_ends_in_one_line(monkeypatch: pytest.MonkeyPatch, weights: Path) -> None:
-    scene = equal_views()
-    network = stand_in(scene)
-    install(monkeypatch, network)
-    with pytest.raises(UserError, match="one size, got 96x72, 104x80"):
-        provider(weights).estimate(plane_scene(100))
-    with pytest.raises(UserError, match=r"align=scale needs 8 sparse points .*align=plane_sweep"):
-        provider(weights).estimate(replace(scene, points=no_points(3)))
-    network.change = fail
-    with pytest.raises(UserError, match=r"RuntimeError \(Degenerate covariance rank\).*three"):
-        provider(weights).estimate(scene)
-    (weights / "model.safetensors").unlink()
-    with pytest.raises(UserError, match=r"got no model\.safetensors; set depth\.weights"):
-        provider(weights).fingerprint(scene)
-
-
-def test_the_fingerprint_follows_the_weights(
-    monkeypatch: pytest.MonkeyPatch, weights: Path
-) -> None:
-    scene = equal_views()
-    install(monkeypatch, stand_in(scene))
-    first = provider(weights).fingerprint(scene)
-    assert first == provider(weights).fingerprint(scene) and len(first) == 64
-    (weights / "model.safetensors").write_bytes(b"others, and longer")
-    assert provider(weights).fingerprint(scene) not in (first, hashlib.sha256().hexdigest())
-
-
 def test_without_the_package_one_line_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, weights: Path
 ) -> None:
@@ -247,3 +165,14 @@ def test_without_the_package_one_line_says_what_to_install(
         ) as error:
             getattr(provider(weights), call)(equal_views())
         assert "\n" not in str(error.value)
+
+
+def test_the_fingerprint_follows_the_weights(
+    monkeypatch: pytest.MonkeyPatch, weights: Path
+) -> None:
+    scene = equal_views()
+    install(monkeypatch, stand_in(scene))
+    first = provider(weights).fingerprint(scene)
+    assert first == provider(weights).fingerprint(scene) and len(first) == 64
+    (weights / "model.safetensors").write_bytes(b"others, and longer")
+    assert provider(weights).fingerprint(scene) not in (first, hashlib.sha256().hexdigest())

@@ -7,7 +7,6 @@ import pytest
 
 from framework.compute.parallel import run_blocks
 from framework.compute.rng import stream
-from framework.depth.consistency import agreeing_views
 from framework.depth.matching import reference
 from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows
 from framework.depth.matching.match import COST_ONE
@@ -15,7 +14,7 @@ from framework.depth.matching.select import select_planes
 from framework.depth.matching.sweep import cost_volume, grey
 from framework.depth.providers import PlaneSweep
 from framework.depth.transfer import pixel_transfer
-from tests.depth.plane import plane_depth, plane_scene
+from tests.depth.plane import plane_scene
 
 
 @pytest.mark.parametrize(("sources", "radius"), [([1, 2], 3), ([0, 1, 1, 0], 1), ([2], 2)])
@@ -70,15 +69,3 @@ def test_selection_equals_the_reference() -> None:
     run_blocks(select_planes, total, total, position, zncc)
     np.testing.assert_allclose(position, reference.select_planes(total), rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(zncc, 1 - total.min(1) / COST_ONE, rtol=1e-6)
-
-
-def test_true_depths_agree_and_wrong_ones_do_not() -> None:
-    cameras = [v.camera for v in plane_scene().views]
-    depths = [plane_depth(c).astype(np.float32) for c in cameras]
-    count = agreeing_views(depths, cameras, 0, [1, 2], 0.03)
-    assert (count == 2).mean() > 0.6
-    assert count.max() == 2
-    depths[0] *= np.float32(1.1)
-    assert agreeing_views(depths, cameras, 0, [1, 2], 0.03).max() == 0
-    depths[0][:] = 0
-    assert agreeing_views(depths, cameras, 0, [1, 2], 0.03).max() == 0

@@ -59,16 +59,6 @@ def test_depth_scales_with_the_scene(maps: tuple[DepthMap, ...]) -> None:
         assert float(((ratio - 1).abs() < 1e-4).float().mean()) > 0.999
 
 
-def test_a_masked_pixel_gets_no_confidence() -> None:
-    scene = plane_scene()
-    mask = torch.ones(scene.views[0].image.shape[1:])
-    mask[:, :40] = 0
-    views = (replace(scene.views[0], mask=mask), *scene.views[1:])
-    confidence = sweep(replace(scene, views=views))[0].confidence
-    assert float(confidence[:, :40].max()) == 0
-    assert float(confidence[:, 40:].max()) > 0
-
-
 def test_a_view_without_overlap_gets_no_depth(caplog: pytest.LogCaptureFixture) -> None:
     scene = plane_scene()
     away = camera((0.0, 0.0, 0.0), (96, 72), 90.0)
@@ -100,11 +90,3 @@ def test_views_without_any_overlap_are_refused() -> None:
     one_place = (views[0], replace(views[0], name="again"))
     with pytest.raises(UserError, match=r"all cameras are at one place, .* take photos from"):
         sweep(TrainingSet("one place", one_place, no_points(2), 3.5, 7.5))
-
-
-def test_images_smaller_than_the_window_are_refused() -> None:
-    with pytest.raises(UserError, match="at least 31x31"):
-        small = [
-            view(n, camera((x, 0.0, 0.0), (20, 20), 30.0)) for n, x in (("a", 0.0), ("b", 0.1))
-        ]
-        sweep(TrainingSet("small", tuple(small), no_points(2), 3.5, 7.5), radius=15)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +15,11 @@ from framework.exports.export import main
 from framework.exports.formats import SUFFIXES, packed
 from framework.exports.opened import open_run, read_named_cameras
 from framework.exports.rig import rig
-from framework.exports.upright import moved_camera, moved_gaussians, turned_bands, upright
+from framework.exports.upright import moved_camera, turned_bands, upright
 from framework.kernels import rasterize
 from framework.kernels.reference import sh_basis
 from framework.records.ply import read_ply
-from framework.types import Gaussians
-from tests.exports.folders import all_around, camera_at, run_folder, side_by_side, some_gaussians
+from tests.exports.folders import all_around, run_folder, side_by_side, some_gaussians
 
 BLACK = torch.zeros(3)
 ODD_UP = (0.36, 0.48, 0.8)  # of a world that is not upright
@@ -41,19 +39,6 @@ def test_colours_turn_with_the_scene(terms: int) -> None:
     turned = turned_bands(shN, turn).double().permute(2, 1, 0)
     after = sh_basis(directions @ turn.T, degree)[:, 1:] @ turned
     assert torch.allclose(before, after, atol=1e-5)
-
-
-def test_a_moved_scene_looks_the_same_from_a_moved_camera() -> None:
-    gaussians, camera = some_gaussians(), camera_at((1.0, -1.5, -3.0))
-    before = rasterize(gaussians, camera).rgb
-    after = rasterize(moved_gaussians(gaussians, motion()), moved_camera(camera, motion())).rgb
-    assert float((before - after).abs().max()) < 2e-3
-
-
-def test_cameras_that_look_at_the_middle_from_four_sides_do_not_flatten_the_scene() -> None:
-    four = [camera_at((x, -2.0, z)) for x, z in ((3, 0), (0, 3), (-3, 0), (0, -3))]
-    turn = upright(rig(four), 4.0)[:3, :3]
-    assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-9)
 
 
 @pytest.mark.parametrize("cameras", [all_around(up=ODD_UP), side_by_side()])
@@ -94,15 +79,6 @@ def test_a_splat_is_32_bytes_the_largest_first() -> None:
     assert abs(int(rows[0, 27]) - 255 * float(gaussians.opacities[first])) <= 1
 
 
-def test_a_ply_is_ours_with_bands_for_all(tmp_path: Path) -> None:
-    gaussians = some_gaussians()
-    gaussians = gaussians.replace(shN=gaussians.shN[:7])
-    (tmp_path / "a.ply").write_bytes(packed(gaussians, torch.tensor([0.0, 0.5, 1.0]), "ply"))
-    read, background = read_ply(tmp_path / "a.ply")
-    assert len(read.shN) == len(read) and not read.shN[7:].any()
-    assert background is not None and background.tolist() == [0.0, 0.5, 1.0]
-
-
 def test_sog_needs_its_writer(monkeypatch: pytest.MonkeyPatch) -> None:
     def absent(name: str) -> None:
         return None
@@ -110,71 +86,6 @@ def test_sog_needs_its_writer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", absent)
     with pytest.raises(UserError, match="pip install 'fishersplat\\[sog\\]'"):
         packed(some_gaussians(), BLACK, "sog")
-
-
-def test_all_are_those_that_can_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("framework.exports.export.can_write", lambda kind: kind != "sog")
-    run = run_folder(tmp_path / "run", side_by_side())
-    assert main([str(run), "--format", "all"], "export") == 0
-    assert "export: without sog; pip install 'fishersplat[sog]'" in capsys.readouterr().out
-    written = {file.name for file in (run / "export").iterdir()}
-    assert "scene.splat" in written and "settings.json" in written and "scene.sog" not in written
-
-
-def test_a_missing_package_stops_export_before_it_writes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("framework.exports.formats.can_write", lambda kind: kind != "sog")
-    run = run_folder(tmp_path / "run", side_by_side())
-    with pytest.raises(UserError, match=r"^sog: needs the package gaussforge"):
-        main([str(run), "--format", "spz", "sog"], "export")
-    assert not (run / "export").exists()
-
-
-def test_splat_says_that_it_loses_bands(caplog: pytest.LogCaptureFixture) -> None:
-    gaussians = some_gaussians()
-    packed(gaussians.replace(shN=torch.zeros_like(gaussians.shN)), BLACK, "splat")
-    assert not caplog.records
-    packed(gaussians.replace(shN=torch.ones(len(gaussians), 3, 3)), BLACK, "splat")
-    assert "splat: holds no SH bands" in caplog.text
-
-
-def test_compressed_ply_says_where_a_far_gaussian_moves_others(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    gaussians = some_gaussians(1000)
-    packed(gaussians, BLACK, "compressed-ply")
-    assert not caplog.records
-    means = gaussians.means.clone()
-    means[7, 0] = 1e5
-    packed(gaussians.replace(means=means), BLACK, "compressed-ply")
-    assert "of 1,000 Gaussians move by up to" in caplog.text
-
-
-def test_sog_is_a_zip_of_pictures() -> None:
-    pytest.importorskip("gaussforge", reason="an extra")
-    content = packed(some_gaussians(300), BLACK, "sog")
-    assert content[:2] == b"PK" and b"meta.json" in content
-
-
-@pytest.mark.parametrize("factor", [1e-5, 1e4])
-def test_sizes_that_spz_cannot_hold_are_refused(factor: float) -> None:
-    """In units of kilometres or of micrometres."""
-    gaussians = some_gaussians(50)
-    scaled = gaussians.replace(
-        means=gaussians.means * factor, log_scales=gaussians.log_scales + math.log(factor)
-    )
-    with pytest.raises(UserError, match="scene units, which it can hold, got 100%"):
-        packed(scaled, BLACK, "spz")
-
-
-def test_positions_beyond_spz_are_refused() -> None:
-    g = some_gaussians(2)
-    far = Gaussians(g.means * 1e7, g.quats, g.log_scales, g.opacity_logits, g.sh0, g.shN)
-    with pytest.raises(UserError, match="another format"):
-        packed(far, BLACK, "spz")
 
 
 def test_the_command_writes_cameras_and_the_first_view(
@@ -219,3 +130,14 @@ def test_a_users_cameras_are_not_written_over(tmp_path: Path) -> None:
         main([str(run), "--out", str(mine)], "export")
     assert (mine / "transforms.json").read_text() == "poses"
     assert [main([str(run), "--out", str(tmp_path / "new")], "export") for _ in range(2)] == [0, 0]
+
+
+def test_all_are_those_that_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("framework.exports.export.can_write", lambda kind: kind != "sog")
+    run = run_folder(tmp_path / "run", side_by_side())
+    assert main([str(run), "--format", "all"], "export") == 0
+    assert "export: without sog; pip install 'fishersplat[sog]'" in capsys.readouterr().out
+    written = {file.name for file in (run / "export").iterdir()}
+    assert "scene.splat" in written and "settings.json" in written and "scene.sog" not in written

@@ -67,12 +67,6 @@ def _delete(data: bytes, draw: np.random.Generator) -> bytes:
     return data[:at] + data[at + int(draw.integers(1, 40)) :]
 
 
-def _repeat(data: bytes, draw: np.random.Generator) -> bytes:
-    start = _at(data, draw)
-    piece = data[start : start + int(draw.integers(1, 400))]
-    return data[:start] + piece * int(draw.integers(2, 6)) + data[start + len(piece) :]
-
-
 def _count(data: bytes, draw: np.random.Generator) -> bytes:
     """A huge or odd integer over 4 or 8 bytes."""
     width = int(draw.choice([4, 8]))
@@ -100,17 +94,6 @@ def _replace(pattern: bytes, data: bytes, draw: np.random.Generator) -> bytes:
     return data[: match.start()] + word + data[match.end() :]
 
 
-def _lines(data: bytes, draw: np.random.Generator) -> bytes:
-    """Two lines change places, or one goes."""
-    lines = data.split(b"\n")
-    i, j = (int(draw.integers(len(lines))) for _ in range(2))
-    if draw.random() < 0.5:
-        del lines[i]
-    else:
-        lines[i], lines[j] = lines[j], lines[i]
-    return b"\n".join(lines)
-
-
 def _floats(data: bytes, draw: np.random.Generator) -> bytes:
     """NaN, infinity or a huge number over 4 or 8 bytes."""
     value = [np.nan, np.inf, -np.inf, 1e300, -0.0][int(draw.integers(5))]
@@ -120,19 +103,9 @@ def _floats(data: bytes, draw: np.random.Generator) -> bytes:
     return data[:at] + word + data[at + len(word) :]
 
 
-def _twice(data: bytes, draw: np.random.Generator) -> bytes:
-    """One number in place of another."""
-    actual = list(re.finditer(rb"-?\d+\.?\d*(?:e[+-]?\d+)?", data[:200_000]))
-    if not actual:
-        return data
-    old, new = (actual[int(draw.integers(len(actual)))] for _ in range(2))
-    return data[: old.start()] + new.group() + data[old.end() :]
-
-
-WRITTEN: tuple[Mutation, ...] = (_cut, _repeat, _delete, _number, _number, _word, _lines, _twice)
+WRITTEN: tuple[Mutation, ...] = (_cut, _delete, _number, _number, _word)
 MUTATIONS: tuple[Mutation, ...] = (
-    *(_cut, _flip, _flip, _insert, _delete, _repeat, _count, _count, _number, _word, _lines),
-    *(_floats, _floats, _twice),
+    *(_cut, _flip, _flip, _insert, _delete, _count, _count, _number, _word, _floats, _floats),
 )
 TEXTS = (".txt", ".csv", ".json", ".ply", ".line")
 

@@ -181,7 +181,6 @@ def _lpips(folder: Path) -> None:
     torch.save(state_dict("AlexNet", features("AlexNet")), folder / "weights.pth")
 
 
-RUN = ("record.json", "metrics.csv", "history.csv")
 SHOWN = ("runs/run/transforms.json", "runs/run/point_cloud.ply")
 
 

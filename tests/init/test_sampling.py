@@ -39,11 +39,6 @@ def test_each_pixel_is_drawn_with_its_probability() -> None:
     assert (deviation <= 4 * np.sqrt(probability * (1 - probability) / n) + 1e-12).all()
 
 
-def test_density_of_a_flat_image_is_uniform() -> None:
-    assert (detail_density(np.full((3, 8, 9), 0.3, np.float32), 0.5) == 1).all()
-    assert detail_density(np.ones((3, 1, 1), np.float32), 0.5).shape == (1, 1)
-
-
 def test_density_peaks_at_an_edge_and_ignores_brightness() -> None:
     image = np.zeros((3, 40, 60), np.float32)
     image[:, :, 30:] = 0.5

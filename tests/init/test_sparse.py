@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.initialize import Sparse, background_color, random_background
-from framework.options import BACKGROUNDS
+from framework.initialize import Sparse, background_color
 from framework.types import Gaussians
 from tests.init.synthetic import camera, points, scene
 
@@ -28,21 +26,6 @@ def test_scales_are_root_mean_squared_neighbour_distances() -> None:
     torch.testing.assert_close(gaussians.scales, torch.full((4, 3), expected, dtype=torch.float32))
     assert gaussians.sh_degree == 3 and (gaussians.sh0.abs() < 1e-6).all()
     torch.testing.assert_close(gaussians.opacities, torch.full((4,), 0.1))
-
-
-def test_scales_scale_with_the_scene_and_follow_permutations() -> None:
-    xyz = stream(0, "test/points").uniform(1, 5, (200, 3))
-    order = stream(0, "test/order").permutation(200)
-    scales = build(xyz).scales
-    torch.testing.assert_close(build(7 * xyz).scales, 7 * scales)
-    assert torch.equal(build(xyz[order]).scales, scales[torch.from_numpy(order)])
-    torch.testing.assert_close(build(xyz, Sparse(scale_factor=2.0)).scales, 2 * scales)
-
-
-def test_coinciding_points_keep_a_size() -> None:
-    gaussians = build(np.ones((5, 3)))
-    torch.testing.assert_close(gaussians.scales, torch.full((5, 3), 1.1e-4))  # extent 1.1
-    assert torch.isfinite(gaussians.log_scales).all()
 
 
 @pytest.mark.parametrize("n", [0, 3])
@@ -63,18 +46,3 @@ def test_mean_background_counts_valid_pixels_of_all_sizes() -> None:
     color = background_color("mean", replace(training, views=views))
     assert color.dtype == torch.float32
     torch.testing.assert_close(color, torch.full((3,), expected))
-
-
-def test_fixed_and_random_backgrounds() -> None:
-    training, _ = scene([camera(0.0)])
-    black, white = (background_color(kind, training) for kind in ("black", "white"))
-    assert black.tolist() == [0, 0, 0] and white.tolist() == [1, 1, 1]
-    mean = background_color("mean", training)
-    assert torch.equal(background_color("random", training), mean)
-    assert torch.equal(random_background(0, 5), random_background(0, 5))
-    assert not torch.equal(random_background(0, 5), random_background(0, 6))
-    assert random_background(0, 5).dtype == torch.float32
-    nothing = replace(training.views[0], mask=torch.zeros_like(training.views[0].image[0]))
-    for kind in BACKGROUNDS:
-        with pytest.raises(UserError, match="expected valid pixels in the training views"):
-            background_color(kind, replace(training, views=(nothing,)))

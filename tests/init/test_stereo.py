@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from framework.errors import UserError
 from framework.geometry import project
 from framework.initialize import Stereo
 from framework.initialize.fusion import SurfacePixels, by_centrality, fuse, mapped
@@ -109,23 +108,6 @@ def test_the_gaussians_cover_the_surface_at_any_budget() -> None:
         assert float((scales / 1.3).square().sum()) == pytest.approx(area, rel=0.05)
 
 
-def test_a_budget_above_the_pixels_takes_all_at_pixel_size() -> None:
-    training, depth = scene([camera(0.0)])
-    gaussians = Stereo(budget=10**6, scale_factor=1.0).build(training, depth, 0, seed=0)
-    assert len(gaussians) == 48 * 64
-    expected = gaussians.means[:, 2:] / np.sqrt(60 * 55)
-    torch.testing.assert_close(gaussians.scales, expected.expand(-1, 3), rtol=1e-5, atol=0)
-
-
-def test_detail_attracts_samples() -> None:
-    training, depth = scene([camera(0.0)])  # stripes at x < 0 only
-    left = [
-        float((Stereo(budget=600, detail=d).build(training, depth, 0, 0).means[:, 0] < 0).sum())
-        for d in (0.0, 0.5, 1.0)
-    ]
-    assert left[0] < 1.15 * 300 and left[0] * 1.2 < left[1] < left[2]
-
-
 def test_same_seed_same_bits_on_any_thread_count() -> None:
     training, depth = three_views()
     threads, results = torch.get_num_threads(), []
@@ -140,19 +122,3 @@ def test_same_seed_same_bits_on_any_thread_count() -> None:
         torch.equal(a, b) for (_, a), (_, b) in zip(first.items(), same.items(), strict=True)
     )
     assert not torch.equal(first.means, other.means)
-
-
-def test_too_little_depth_names_the_way_out() -> None:
-    training, (depth,) = scene([camera(0.0)])
-    confidence = torch.zeros(48, 64)
-    confidence[0, :50] = 1
-    with pytest.raises(UserError, match=r"at least 100 pixels .* got 50; use init=sparse"):
-        Stereo().build(training, (DepthMap(depth.depth, confidence),), 0, 0)
-
-
-def test_every_view_needs_its_depth_map() -> None:
-    training, depth = three_views()
-    with pytest.raises(ValueError, match="one depth map per training view"):
-        mapped(training, depth[:2], 0.5)
-    with pytest.raises(ValueError, match=r"expected a depth map \[48, 64\] like the camera"):
-        mapped(training, (depth[0], depth[2], depth[1]), 0.5)

@@ -46,17 +46,6 @@ def test_a_training_is_long_only_when_it_visits_every_view_often() -> None:
     assert slowed[0] == slowed[1] == pytest.approx(2 * slowed[2])
 
 
-def test_pacing_what_is_paced_changes_nothing() -> None:
-    """Members are paced before their tuning is derived, and by the trainer again."""
-    paced = schedule.paced(TrainerOptions(steps=3_000), 43)
-    assert schedule.paced(paced, 43) == paced
-
-
-def test_rates_per_step_without_a_pace() -> None:
-    absolute = TrainerOptions(steps=10_000, pace_steps=0, pace_views=0)
-    assert schedule.paced(absolute, 43) == absolute
-
-
 @pytest.mark.parametrize(
     ("steps", "n_views", "expected"),
     [
@@ -79,18 +68,6 @@ def test_steps_are_shared_by_as_many_trainings_as_the_views_leave_them_for(
     taught = schedule.shared(TrainerOptions(steps=steps), n_views)
     assert (taught.members + schedule.taught(taught), taught.steps) == expected
     assert schedule.taught(taught) == (expected[0] >= 3)
-
-
-def test_many_photos_get_the_steps_that_visits_of_each_need() -> None:
-    options = TrainerOptions(steps=75, visits=4)
-    assert schedule.shared(options, 3).steps == 75
-    assert schedule.shared(options, 43).steps == 172
-    assert schedule.shared(schedule.shared(options, 43), 43).steps == 172
-
-
-def test_members_that_were_asked_for_have_all_their_steps() -> None:
-    options = TrainerOptions(steps=2400, members=2)
-    assert schedule.shared(options, 3) == options
 
 
 def test_the_second_camera_waits_for_the_steps_that_the_views_pay_for() -> None:

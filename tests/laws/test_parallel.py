@@ -61,29 +61,6 @@ def test_threads_help_each_other() -> None:
     assert not others
 
 
-@pytest.mark.parametrize("blocks", [1, 2, 5])
-def test_fewer_blocks_than_threads_and_what_they_raise(blocks: int) -> None:
-    set_threads(7)
-    seen: list[int] = []
-    run_blocks(lambda block, blocks: seen.append(block), blocks=blocks)
-
-    def fails(block: int, blocks: int) -> None:
-        raise ValueError(f"block {block}")
-
-    try:
-        with pytest.raises(ValueError, match="block"):
-            run_blocks(fails, blocks=blocks)
-    finally:
-        set_threads(0)
-    assert sorted(seen) == list(range(blocks))
-
-
-def test_no_more_threads_take_part_than_there_is_scratch(threads: int) -> None:
-    ours: list[tuple[list[int]]] = [([],)]
-    run_blocks(lambda block, blocks, mine: mine.append(block), blocks=40, scratch=ours)
-    assert ours == [(list(range(40)),)]
-
-
 def test_a_forked_process_has_threads_of_its_own(threads: int) -> None:
     """Its parent's do not exist there: who waited for them would wait for ever."""
     run_blocks(lambda block, blocks: None)
@@ -131,26 +108,6 @@ def test_tasks_give_their_results_in_order(threads: int) -> None:
 
     with pytest.raises(ValueError, match="a task"):
         run_tasks([fails, lambda: 1])
-
-
-def test_tasks_may_run_blocks(threads: int) -> None:
-    """On their own threads: one that waited for the pool might wait for ever."""
-
-    def task() -> int:
-        seen: list[int] = []
-        blocks: list[int] = run_tasks([lambda: 36])
-
-        def kernel(block: int, blocks: int) -> None:
-            seen.append(threading.get_ident())
-
-        run_blocks(kernel, blocks=9)
-        assert set(seen) == {threading.get_ident()}
-        return blocks[0]
-
-    assert run_tasks([task] * 8) == [36] * 8
-    others: set[int] = set()
-    run_blocks(lambda block, blocks: others.add(threading.get_ident()), blocks=40)
-    assert len(others) <= threads
 
 
 def test_together_the_first_to_fail_ends_all() -> None:

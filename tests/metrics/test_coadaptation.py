@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from framework.metrics.coadaptation import (
-    RENDERS,
-    average_error,
-    coadaptation,
-    with_average,
-    with_coadaptation,
-)
+from framework.metrics.coadaptation import RENDERS, average_error, coadaptation, with_coadaptation
 from framework.metrics.values import Missing, ViewMetrics
 from framework.types import Camera, Render
+
+
+def measured(lpips: float | Missing) -> ViewMetrics:
+    return ViewMetrics("a", (), 20.0, 0.75, 0.1, lpips, lpips, 0.01, {"edges": 1.0})
+
 
 CAMERA = Camera(torch.eye(4), torch.eye(3), 2, 1)
 
@@ -40,25 +37,8 @@ def test_the_variance_counts_where_all_renders_show_something() -> None:
     assert all(set(factors.tolist()) == {0.0, 1.0} for factors in inputs)
 
 
-def test_nothing_seen_has_no_score() -> None:
-    empty = Render(torch.zeros(3, 1, 2), torch.zeros(1, 2), torch.zeros(1, 2), torch.ones(1))
-    assert math.isnan(coadaptation(lambda *_: empty, 3, CAMERA, np.random.default_rng(0)))
-
-
 def test_the_mean_of_errors() -> None:
     assert average_error(20.0, 0.75, 0.4) == pytest.approx((0.01 * 0.5 * 0.4) ** (1 / 3))
-
-
-def measured(lpips: float | Missing) -> ViewMetrics:
-    return ViewMetrics("a", (), 20.0, 0.75, 0.1, lpips, lpips, 0.01, {"edges": 1.0})
-
-
-def test_every_view_with_lpips_gets_its_mean_of_errors() -> None:
-    with_lpips, without = measured(0.4), measured(Missing("no weights"))
-    both = with_average([with_lpips, without])
-    assert both[0].value("avge") == pytest.approx((0.01 * 0.5 * 0.4) ** (1 / 3))
-    assert both[1].value("avge") == Missing("no weights") and both[0].value("edges") == 1.0
-    assert with_average([without]) == [without]  # no column without any
 
 
 def test_every_view_gets_its_score() -> None:

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from framework.compute.rng import stream
-from framework.errors import UserError
 from framework.metrics import evaluate as metrics
 from framework.metrics import lpips
 
@@ -83,18 +82,3 @@ def test_distance_equals_the_stacked_modules(kind: str, tmp_path: Path) -> None:
     assert network.distance(x, y) == pytest.approx(expected, rel=1e-5)
     assert network.distance(x, x) == 0.0
     assert isinstance(network.distance(x[:8], y[:8]), metrics.Missing)
-
-
-def test_bad_weights_end_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="does not exist"):
-        lpips.load(tmp_path / "none.pth")
-    (tmp_path / "text.pth").write_text("not weights")
-    with pytest.raises(UserError, match="not a readable state dict") as caught:
-        lpips.load(tmp_path / "text.pth")
-    assert "\n" not in str(caught.value)
-    torch.save({"conv": torch.zeros(1)}, tmp_path / "other.pth")
-    with pytest.raises(UserError, match="lacks 17 tensors"):
-        lpips.load(tmp_path / "other.pth")
-    torch.save([1, 2], tmp_path / "list.pth")
-    with pytest.raises(UserError, match="dict of tensors"):
-        lpips.load(tmp_path / "list.pth")

@@ -13,7 +13,7 @@ from framework.compute import parallel
 from framework.compute.rng import stream
 from framework.metrics import evaluate as metrics
 from framework.metrics import lpips, lpips_weights
-from framework.metrics.values import NOT_REQUESTED, Missing
+from framework.metrics.values import Missing
 from tests.metrics.forged_weights import whole_archive
 from tests.metrics.test_lpips import features, state_dict
 from tests.metrics.test_metrics import image, similar, view_of
@@ -63,12 +63,6 @@ def test_both_conventions_on_any_number_of_threads(network: lpips.Lpips) -> None
     # fed as they are: what the authors' way makes of images mapped the other way before
     half = network.distance((x + 1) / 2, (y + 1) / 2)
     assert network.distance(x, y, centred=False) == pytest.approx(half, rel=1e-5)
-
-
-def test_the_second_convention_is_measured_on_request(network: lpips.Lpips) -> None:
-    truth = image("truth")
-    measured = metrics.evaluate_view(view_of(truth), similar(truth), network=network)
-    assert isinstance(measured.lpips, float) and measured.lpips_01 == NOT_REQUESTED
 
 
 def test_a_complete_run_gets_lpips_once_there_are_weights(

@@ -15,7 +15,7 @@ from framework.compute.rng import stream
 from framework.metrics import evaluate as metrics
 from framework.metrics.evaluate import quantise
 from framework.metrics.flip import error_map
-from framework.metrics.values import Missing, evenly
+from framework.metrics.values import Missing
 from framework.types import Camera, View
 
 GREEN, BLUE = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -95,15 +95,6 @@ def test_flip_is_that_of_the_authors_package() -> None:
     assert metrics.flip(green, blue) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_metrics_read_what_is_saved() -> None:
-    truth = image("truth")
-    finer = truth + 0.4 / 255.0
-    assert metrics.psnr(finer, truth) == Missing("infinite: render equals truth")
-    assert metrics.quantise(torch.tensor([[[2.0]], [[-1.0]], [[float("nan")]]])).tolist() == [
-        [[255, 0, 0]]
-    ]
-
-
 def test_mask_leaves_invalid_pixels_out() -> None:
     truth = image("truth")
     mask = torch.zeros(40, 53)
@@ -135,52 +126,3 @@ def test_masked_metrics_are_those_of_the_dtu_protocol() -> None:
     whole = metrics.psnr(*white)
     assert isinstance(measured.psnr, float) and isinstance(whole, float)
     assert whole > measured.psnr  # white pixels agree; they must not raise the PSNR
-
-
-def test_evaluate_view_explains_what_is_missing() -> None:
-    truth = image("truth", 8, 8)
-    measured = metrics.evaluate_view(view_of(truth), similar(truth), render_s=0.5)
-    assert measured.tags == ("interpolating",) and measured.render_s == 0.5
-    assert isinstance(measured.psnr, float)
-    assert measured.ssim == Missing("image of 8x8 is smaller than the 11x11 window")
-    assert measured.lpips == metrics.NO_LPIPS
-
-
-def test_mean_needs_every_view() -> None:
-    truth = image("truth")
-    good = metrics.evaluate_view(view_of(truth), similar(truth))
-    perfect = metrics.evaluate_view(view_of(truth), truth)
-    assert metrics.mean_of([good, good], "psnr") == good.psnr
-    assert metrics.mean_of([good, perfect], "psnr") == Missing(
-        "infinite: render equals truth (1 of 2 views)"
-    )
-    assert metrics.mean_of([], "psnr") == Missing("no test views")
-
-
-def test_evaluate_renders_each_camera_once() -> None:
-    truth = image("truth")
-    seen: list[Camera] = []
-
-    def render(camera: Camera) -> Tensor:
-        seen.append(camera)
-        return similar(truth)
-
-    view = view_of(truth)
-    measured, images = metrics.evaluate(render, [view])
-    assert seen == [view.camera] and images[0][0] is view
-    assert measured[0].psnr == metrics.psnr(images[0][1], truth)
-
-
-def test_wrong_shapes_are_refused() -> None:
-    with pytest.raises(ValueError, match="truth's shape"):
-        metrics.psnr(image("a", 10, 10), image("b", 10, 11))
-    with pytest.raises(ValueError, match="mask"):
-        metrics.psnr(image("a"), image("b"), torch.ones(3, 3))
-    with pytest.raises(ValueError, match=r"\[3, H, W\]"):
-        metrics.quantise(torch.zeros(4, 4))
-
-
-def test_fewer_views_are_evenly_spaced() -> None:
-    assert evenly(range(31), 0) == tuple(range(31))
-    assert evenly(range(5), 8) == tuple(range(5))
-    assert evenly(range(30), 3) == (5, 15, 25)

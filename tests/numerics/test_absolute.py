@@ -7,8 +7,6 @@ from typing import Any
 import pytest
 import torch
 
-from framework.backends.torch_cpu import Reference
-from framework.errors import UserError
 from framework.kernels import rasterize, render_gradient
 from framework.run.plane import textured_plane
 from framework.types import Camera
@@ -70,25 +68,3 @@ def test_a_capacity_that_asks_sees_it_and_others_do_not(penalty: str) -> None:
     for plain, stats in zip(seen[False], seen[True], strict=True):
         assert stats.absolute is not None and torch.equal(plain.means2d_grad, stats.means2d_grad)
         assert (stats.absolute + 1e-6 >= stats.means2d_grad.abs()).all()
-
-
-def test_a_rasterizer_without_single_pixels_says_so_before_the_first_step() -> None:
-    from framework.options import TrainerOptions
-    from framework.records.progress import Silent
-    from framework.train.trainer import Plugins, Trainer
-
-    training, depth, gaussians = textured_plane(0)
-    names = {"augment": {"name": "none"}, "reg": {"name": "none"}}
-    names["capacity"] = {"name": "adc", "absolute": True}
-    plugins = Plugins.of(names)
-    with pytest.raises(UserError, match=r"rasterizer=reference: .* use rasterizer=numba, or turn"):
-        Trainer(
-            training,
-            depth,
-            gaussians,
-            TrainerOptions(),
-            plugins,
-            0,
-            Silent(),
-            rasterizer=Reference(),
-        )

@@ -141,19 +141,6 @@ def test_bands_that_open_late_have_the_bits_of_those_updated_all_along() -> None
     assert not torch.equal(whole.shN, case.gaussians.shN)
 
 
-def test_an_update_from_the_screen_names_what_is_not_finite() -> None:
-    case = crowded_case(1)
-    params = case.gaussians
-    logits = params.opacity_logits.clone()
-    optimizer = Adam(params)
-    actual = render_gradient(params, case.camera, lambda rgb: np.full_like(rgb, np.nan))
-    broken, _ = optimizer.step_from(actual, RATES, opacity_decay=0.5)
-    assert {"means", "opacity_logits", "sh0"} <= set(broken)
-    still = torch.isfinite(params.opacity_logits)
-    assert torch.isnan(params.opacity_logits[actual.radii > 0]).any() and still.any()
-    assert torch.equal(params.opacity_logits[still], logits[still])  # nothing else decayed
-
-
 def test_a_gradient_is_used_once() -> None:
     case = random_case(1)
     actual = on_screen(case.gaussians, case)

@@ -45,20 +45,6 @@ def test_the_pseudo_view_has_the_camera_that_the_plugin_chose() -> None:
     assert min(on_segment) == pytest.approx(0, abs=1e-9)
 
 
-def test_select_gets_the_chosen_camera() -> None:
-    cameras = []
-
-    @dataclass(frozen=True)
-    class Recording(Between):
-        def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
-            cameras.append(camera)
-            return [0], selection
-
-    Recording.name = "recording"
-    Recording(min_coverage=0.0).pseudo_views(context(), None)
-    assert cameras[0].viewmat.equal(Between().sample_camera(context()).viewmat)
-
-
 def test_anything_but_a_camera_is_refused() -> None:
     @dataclass(frozen=True)
     class Nowhere(Between):

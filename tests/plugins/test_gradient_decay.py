@@ -15,9 +15,9 @@ from framework.records.progress import Silent
 from framework.run.members import IDLE
 from framework.run.plane import textured_plane
 from framework.train.trainer import Plugins, Trainer
-from plugins.capacity.gradient_decay import LOWEST, GradientDecay, fade
+from plugins.capacity.gradient_decay import GradientDecay
 from tests.plugins.fakes import Log, context, wall_of_gaussians
-from tests.plugins.test_one_step import changed, scattered
+from tests.plugins.test_one_step import scattered
 
 PLAIN = {"sh_degree": 1, "opacity_decay": 1.0, "pace_steps": 0, "pace_views": 0}
 
@@ -65,24 +65,6 @@ def test_the_factor_is_the_papers() -> None:
     assert torch.equal(gaussians.opacity_logits[:2], torch.zeros(2))  # what it got is untouched
 
 
-def test_the_most_opaque_and_the_faintest_stay_finite() -> None:
-    logits = torch.tensor([60.0, 60.0, -29.999, -80.0])
-    faded, _ = fade(logits, torch.tensor([1.0, 0.0, 0.0, 0.0]), 0.9, 1e5)
-    # fully held: unchanged; else 0.9 as a logit; faded out
-    assert faded[0] == 60 and float(faded[1]) == pytest.approx(2.1972246)
-    assert faded[2:].tolist() == [LOWEST, LOWEST]
-
-
-def test_in_one_step_it_changes_opacities_alone_and_no_moments() -> None:
-    plain, acted = trained(), trained(capacity=decay())
-    assert changed(plain.field.params, acted.field.params) == {"opacity_logits"}
-    share = opacities(acted) / opacities(plain)
-    assert share.min() >= 0.99 - 1e-6 and share.max() < 1 and share.std() > 1e-4
-    for moments in ("first", "second"):
-        one, other = (getattr(t.field.optimizer.state(), moments) for t in (plain, acted))
-        assert not changed(one, other)
-
-
 def test_one_step_is_that_of_the_trainers_own_decay() -> None:
     """An independent computation of the same: all Gaussians here have a gradient, so that the two
     agree on the mean."""
@@ -90,20 +72,3 @@ def test_one_step_is_that_of_the_trainers_own_decay() -> None:
     acted = trained(capacity=decay(decay=0.9, relief=0.5))
     assert torch.allclose(opacities(acted), opacities(ours), atol=1e-6)
     assert not torch.allclose(opacities(acted), opacities(trained(opacity_decay=0.9)), atol=1e-3)
-
-
-def test_without_relief_it_is_the_plain_decay() -> None:
-    plain = trained(6, opacity_decay=0.95)
-    acted = trained(6, capacity=decay(decay=0.95, relief=0.0))
-    assert torch.allclose(opacities(acted), opacities(plain), atol=1e-5)
-
-
-def test_it_stands_beside_a_capacity_that_adds_and_removes() -> None:
-    adc = {"name": "adc", "from_step": 1, "every": 2, "grad_threshold": 1e-6}
-    alone = trained(8, capacity=adc)
-    both = trained(
-        8, capacity={"name": "adc+gradient_decay", "adc": adc, "gradient_decay": decay()}
-    )
-    assert len(alone.field.params) > len(scattered(0))
-    assert len(both.field.params) > len(scattered(0))
-    assert opacities(both).mean() < opacities(alone).mean()

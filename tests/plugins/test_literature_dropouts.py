@@ -9,18 +9,8 @@ import torch
 
 from plugins.regularize.anchor_dropout import AnchorDropout
 from plugins.regularize.depth_density import DepthDensity, ranks, scores
-from plugins.regularize.opacity_noise import OpacityNoise
 from plugins.regularize.removal import Removal
 from tests.plugins.fakes import context, wall_of_gaussians
-
-
-def test_opacity_noise_keeps_opacities_below_one() -> None:
-    gaussians = wall_of_gaussians(4000).replace(opacity_logits=torch.linspace(-4, 6, 4000))
-    factors, _ = OpacityNoise(sigma=0.5).opacity_factors(context(gaussians=gaussians), None)
-    rendered = factors * gaussians.opacities
-    assert float(rendered.max()) <= 1 + 1e-6 and 0.5 <= float(factors.min()) < 0.51
-    low = factors[:400] - 1  # no opacity near one: N(0, 1/4), cut off at 1/2
-    assert abs(float(low.mean())) < 0.05 and float((low.abs() >= 0.4999).float().mean()) > 0.2
 
 
 def test_removal_drops_a_share_and_thins_the_rest_in_the_end() -> None:
@@ -52,6 +42,18 @@ def test_anchors_take_their_neighbours_along() -> None:
     assert early is None  # none at the beginning
 
 
+def test_a_score_is_half_nearness_and_half_crowding_and_less_for_far_ones() -> None:
+    """In float64, by the places of 60 in both orders; a third of them is 20."""
+    ctx = context(gaussians=wall_of_gaussians(60))
+    means = ctx.gaussians.means.double().numpy()
+    centers = np.stack([view.camera.center.numpy() for view in ctx.views])
+    distance = np.linalg.norm(means[:, None] - centers, axis=2).min(1)
+    apart = np.sort(np.linalg.norm(means[:, None] - means, axis=2), 1)[:, 1:4].mean(1)
+    near, crowded = (values.argsort().argsort() for values in (distance, apart))
+    expected = (1 - (near + crowded) / 120) * np.array([1, 0.7, 0.3])[near // 20]
+    assert np.allclose(scores(ctx).numpy(), expected, atol=1e-6)
+
+
 def test_near_and_crowded_ones_are_dropped_more_often() -> None:
     assert ranks(torch.tensor([3.0, 1, 2, 9])).tolist() == [0.5, 0, 0.25, 0.75]
     ctx = context(gaussians=wall_of_gaussians(3000))
@@ -70,15 +72,3 @@ def test_near_and_crowded_ones_are_dropped_more_often() -> None:
     assert bare is not None and torch.equal(bare, (factors > 0).float())
     again = DepthDensity().opacity_factors(ctx, state)[1]
     assert again is state  # not measured again for the same set
-
-
-def test_a_score_is_half_nearness_and_half_crowding_and_less_for_far_ones() -> None:
-    """In float64, by the places of 60 in both orders; a third of them is 20."""
-    ctx = context(gaussians=wall_of_gaussians(60))
-    means = ctx.gaussians.means.double().numpy()
-    centers = np.stack([view.camera.center.numpy() for view in ctx.views])
-    distance = np.linalg.norm(means[:, None] - centers, axis=2).min(1)
-    apart = np.sort(np.linalg.norm(means[:, None] - means, axis=2), 1)[:, 1:4].mean(1)
-    near, crowded = (values.argsort().argsort() for values in (distance, apart))
-    expected = (1 - (near + crowded) / 120) * np.array([1, 0.7, 0.3])[near // 20]
-    assert np.allclose(scores(ctx).numpy(), expected, atol=1e-6)

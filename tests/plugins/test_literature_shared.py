@@ -6,23 +6,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 
 from framework.compute.rng import stream
-from framework.options import TrainerOptions
-from framework.run.plane import textured_plane
-from framework.toolbox.elsewhere import (
-    bilinear,
-    correlation,
-    difference,
-    known_depth,
-    seen_through,
-    unseen_camera,
-)
-from framework.toolbox.neighbours import nearest_distance, nearest_others
-from framework.train.context import Conditions, Moment, step_context
+from framework.toolbox.elsewhere import bilinear, known_depth, seen_through, unseen_camera
 from tests.plugins.at_work import true_depth
 from tests.plugins.fakes import context, stage
 
@@ -40,19 +28,6 @@ def test_known_depth_is_that_of_the_view_at_its_size() -> None:
     assert not (known_depth(replace(ctx, depth=(gone, *ctx.depth[1:])), view) or (0, depth))[
         1
     ].any()
-
-
-def test_what_stays_the_same_is_made_once_for_both_fields() -> None:
-    training, depth, gaussians = textured_plane(0)
-    options, black = TrainerOptions(steps=10), torch.zeros(3)
-    conditions = Conditions(training, depth, options, black, 0.01, 0)
-    actual = []
-    for of in (conditions, replace(conditions, field="second/")):
-        ctx = step_context(of, Moment(0, 0, 0, gaussians, 0), "reg", lambda name, value: None)
-        actual.append((known_depth(ctx, training.views[0]), ctx.supports()))
-    (reference, supports), (again, theirs) = actual
-    assert reference is again and supports is theirs
-    assert known_depth(ctx, training.views[1]) is not reference
 
 
 def test_an_unseen_camera_is_between_two_neighbours() -> None:
@@ -114,29 +89,3 @@ def test_pictures_are_sampled_as_pytorch_samples_them(size: tuple[int, int]) -> 
         assert torch.allclose(a, b, atol=1e-4)
     broken = torch.tensor([[math.nan, math.inf, 1.0]])
     assert bilinear(image.detach(), broken, broken)[0, 0].isnan().tolist() == [True, False, False]
-
-
-def test_correlation_and_neighbours() -> None:
-    a, b = torch.tensor([1.0, 2, 3, 5]), torch.tensor([2.0, 4, 7, 9])
-    assert float(correlation(a, b)) == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-6)
-    assert float(correlation(a, -3 * a + 2)) == pytest.approx(-1)
-    assert float(correlation(a, torch.ones(4))) == 0
-    points = torch.tensor([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [3, 0, 0]])
-    distances, rows = nearest_others(points, 2)
-    assert distances.tolist() == [[1, 3], [1, 2], [0, 2], [0, 2]]
-    assert rows[0].tolist()[0] == 1 and rows[2, 0] == 3 and rows[3, 0] == 2
-    assert nearest_others(points[:1], 2)[1].shape == (1, 0)
-    assert nearest_distance(points, points[1:2]).tolist() == [1, 0, 2, 2]
-    assert math.isinf(nearest_distance(points, points[:0])[0])
-
-
-def test_the_difference_of_two_renders_has_a_gradient_in_both() -> None:
-    first, second = (torch.rand(3, 12, 14).requires_grad_() for _ in range(2))
-    loss = difference(first, second, 0.0)
-    assert float(loss) == pytest.approx(float((first - second).abs().mean()), rel=1e-5)
-    one, other = torch.autograd.grad(loss, [first, second])
-    assert torch.allclose(one, -other) and torch.allclose(
-        one, (first - second).detach().sign() / first.numel()
-    )
-    alone = difference(first, second.detach(), 0.2)
-    assert not torch.equal(alone, loss) and alone.requires_grad

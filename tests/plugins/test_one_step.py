@@ -1,4 +1,4 @@
-"""Which tensors of the Gaussians a method changes that acts in one step of a training.
+"""What capacities of two fields change in one step of a training.
 
 On three tiny views, in the second of two steps: Adam's first one depends on the gradient's sign
 only, and some methods begin with nothing. Photos weigh nothing beside a loss term, so that what
@@ -8,13 +8,10 @@ moves is what the term pulls at.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
-import pytest
 import torch
 
-from framework import registry
 from framework.compute.rng import stream
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
@@ -23,38 +20,6 @@ from framework.run.plane import textured_plane
 from framework.train.field import Field
 from framework.train.trainer import Plugins, Trainer
 from framework.types import Gaussians
-
-SHAPE = {"means", "quats", "log_scales", "opacity_logits"}  # what rendered depth depends on
-ALL = SHAPE | {"sh0", "shN"}
-CHANGED: dict[str, set[str]] = {
-    "anchor_dropout": ALL,
-    "binocular": ALL,
-    "co_register": ALL,
-    "cycle_warp": ALL,
-    "depth_density": ALL,
-    "depth_local_global": {"means", "opacity_logits"},  # each in a separate step
-    "depth_pearson": SHAPE,
-    "depth_rank": SHAPE,
-    "far_fidelity": ALL,
-    "frequency": {"log_scales"},  # how far away a Gaussian is has no gradient
-    "none": set(),
-    "occlusion": {"opacity_logits"},  # nor has it here
-    "opacity_noise": ALL,
-    "patch_smoothness": SHAPE,
-    "removal": ALL,
-    "render_consistency": ALL,
-    "sh_dropout": ALL,  # the render lacks bands, so all have another gradient
-    "sharpness": ALL,
-    "uar": ALL,
-    "uniform": ALL,
-}
-EAGER: dict[str, dict[str, Any]] = {  # half-way through a training of degree 1
-    "anchor_dropout": {"p": 0.2},
-    "far_fidelity": {"share": 0.5},
-    "frequency": {"octaves": 6.0},
-    "occlusion": {"depth": 4.0},
-    "sh_dropout": {"each": 1.0},
-}
 
 
 def scattered(seed: int) -> Gaussians:
@@ -90,24 +55,10 @@ def trained(weight: float = 1.0, steps: int = 2, **options: dict[str, Any]) -> T
     return trainer
 
 
-@lru_cache
-def plain(weight: float) -> Trainer:
-    return trained(weight)
-
-
 def changed(before: Gaussians, after: Gaussians) -> set[str]:
     """The names of the tensors that are not the same."""
     pairs = zip(before.items(), after.items(), strict=True)
     return {name for (name, one), (_, other) in pairs if not torch.equal(one, other)}
-
-
-@pytest.mark.parametrize("name", CHANGED)
-def test_what_a_regularizer_changes_in_one_step(name: str) -> None:
-    plugin: Any = registry.lookup("reg", name)
-    weight = 0.0 if plugin.weighted() else 1.0
-    options = {"name": name, "start": 0.5, "stop": 1.0, **EAGER.get(name, {})}
-    acted = trained(weight, reg=options)
-    assert changed(plain(weight).field.params, acted.field.params) == CHANGED[name]
 
 
 def rested_and_acted(steps: int, **options: Any) -> tuple[Trainer, Trainer]:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import pytest
 
 from framework import registry
-from framework.toolbox.warping import ThresholdAugmenter, WarpingAugmenter, center_distances
-from framework.types import Camera
+from framework.toolbox.warping import WarpingAugmenter, center_distances
 from plugins.augment.dba import Dba
 from plugins.augment.euclidean import Euclidean
 from plugins.augment.full_set import FullSet
 from plugins.augment.safi import Safi
-from tests.plugins.fakes import Log, context, stage
+from tests.plugins.fakes import context, stage
 from tests.warp.stage import camera
 
 METHODS: list[type[WarpingAugmenter]] = [Dba, Euclidean, FullSet, Safi]
@@ -49,14 +47,6 @@ def test_distance_is_between_centres_and_not_translations(plugin: WarpingAugment
         assert chosen(plugin, 0.48, 0.1, yaw=yaw) == [1]
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_the_number_of_supports_is_logged(method: type[WarpingAugmenter]) -> None:
-    log = Log({})
-    method().pseudo_views(context(log=log), None)
-    (count,) = log.values[f"{method.name}_supports"]
-    assert count == {"dba": 1, "full_set": 3}.get(method.name, count)
-
-
 def test_shared_options_have_the_same_defaults() -> None:
     """Otherwise a comparison would be one of options."""
     rows = [{n: f.default for n, _, f in registry.option_fields(method)} for method in METHODS]
@@ -64,14 +54,3 @@ def test_shared_options_have_the_same_defaults() -> None:
         assert len({row[key] for row in rows if key in row}) == 1, key
     common = {field.name for field in dataclasses.fields(WarpingAugmenter)}
     assert all(common <= set(row) for row in rows)
-
-
-def test_scores_are_all_a_threshold_method_has_to_give() -> None:
-    @dataclasses.dataclass(frozen=True)
-    class Last(ThresholdAugmenter):
-        def scores(self, ctx: Any, selection: Any, camera: Camera) -> tuple[list[float], Any]:
-            return [3.0, 2.9, 2.0], "state"
-
-    Last.name = "last"
-    assert Last().select(context(), None, camera()) == ([0, 1, 2], "state")
-    assert Last(eta=1.45).select(context(), None, camera()) == ([1, 2], "state")

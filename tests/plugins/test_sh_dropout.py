@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
@@ -47,28 +46,6 @@ def test_dropped_bands_are_not_seen_and_get_no_gradient(step: int, spared: int, 
     assert there["sh0"][:3].eq(total).all() and there["sh0"][3].eq(1).all()  # it has no bands
     assert there["shN"][:, :spared].eq(total).all() and there["shN"][:, spared:].eq(0).all()
     assert torch.equal(gaussians.shN, before.shN)
-
-
-@pytest.mark.parametrize(("step", "degree"), [(60, 3), (99, 3), (40, 2), (20, 1), (0, 0)])
-def test_where_no_active_band_is_due_nothing_is_rendered_again(step: int, degree: int) -> None:
-    def refuse(_: Gaussians) -> Mapping[str, Tensor]:
-        raise AssertionError("no second pass is expected")
-
-    ctx = at_step(step, degree, coloured(4, 4))
-    assert ShDropout(p=1.0).gradient(ctx, None, {}, refuse) is None
-
-
-def test_a_fifth_of_the_gaussians_is_drawn_anew_in_every_step() -> None:
-    def lacking(step: int) -> Tensor:
-        there = ShDropout().gradient(at_step(step, 3, coloured(5000, 5000)), None, {}, squares)
-        assert there is not None
-        none = there["shN"].eq(0)
-        assert torch.equal(none.any(1), none.all(1))  # a Gaussian's due bands go together
-        return none[:, 0, 0].float()
-
-    one, other = lacking(3), lacking(4)
-    assert float(one.mean()) == pytest.approx(0.2, abs=0.02)  # three and a half sigma
-    assert float((one * other).mean()) == pytest.approx(0.04, abs=0.01)  # independent
 
 
 def test_it_is_the_gradient_through_a_masked_render() -> None:

@@ -15,7 +15,7 @@ from framework.depth.matching.reference import zncc
 from framework.errors import UserError
 from framework.geometry import project, unproject
 from framework.types import SparsePoints, TrainingSet
-from plugins.initialize.epipolar import Epipolar, Line, free_match, least_sensitive, sampled
+from plugins.initialize.epipolar import Line, free_match, sampled
 from plugins.initialize.patch_growth import At, PatchGrowth, Photo, confirmed, covariance, ssim
 from tests.plugins.fakes import stage
 
@@ -86,15 +86,6 @@ def test_growth_adds_its_share_near_to_the_points() -> None:
         PatchGrowth(seeds="points").build(training, depth, 0, 0)
 
 
-def test_growth_from_points_that_are_given() -> None:
-    training, (_, depth) = seen(), stage()
-    xyz = torch.tensor([[x, y, 6 + 0.3 * x] for x in (-1.0, 0, 1) for y in (-0.5, 0.5)]).double()
-    points = SparsePoints(xyz, torch.full((6, 3), 0.25), torch.ones(6, 3).bool())
-    plugin = PatchGrowth(seeds="points", growth=3.0, rounds=30)
-    grown = plugin.build(replace(training, points=points), depth, 0, 0)
-    assert torch.allclose(grown.means[:6], xyz.float()) and len(grown) > 6
-
-
 def test_the_line_is_where_other_depths_are_seen() -> None:
     camera, source = (view.camera for view in seen().views[:2])
     z = np.full((camera.height, camera.width), 5.0)
@@ -124,27 +115,3 @@ def test_a_shifted_image_is_matched_where_it_went() -> None:
     middle = zncc(a, b, 3)[3, 3]
     cov = np.cov(a.reshape(-1), b.reshape(-1), ddof=0) + 2e-5 * np.eye(2)
     assert middle == pytest.approx(cov[0, 1] / math.sqrt(cov[0, 0] * cov[1, 1]), abs=1e-6)
-
-
-def test_the_less_sensitive_depth_wins() -> None:
-    one = np.array([[2.0, 0, 3, 0]]), np.array([[0.5, 0.1, 0.2, 0.1]])
-    other = np.array([[4.0, 5, 6, 0]]), np.array([[0.4, 0.9, 0.3, 0.1]])
-    assert least_sensitive([one, other], (1, 4)).tolist() == [[4, 5, 3, 0]]
-
-
-def test_matched_depth_is_that_of_the_wall() -> None:
-    training, (_, depth) = seen(), stage()
-    actual = Epipolar().depths(training)
-    for z, true in zip(actual, depth, strict=True):
-        valid = z > 0
-        assert valid.mean() > 0.15
-        assert np.median(np.abs(z[valid] / true.depth.numpy()[valid] - 1)) < 0.03
-    stricter = Epipolar(off_line=0.3).depths(training)
-    assert all((s > 0).sum() < (z > 0).sum() for s, z in zip(stricter, actual, strict=True))
-    whole = Epipolar(share=1.0).build(training, (), 0, 0)
-    assert len(whole) == sum(int((z > 0).sum()) for z in actual)
-    part = Epipolar(share=0.5).build(training, (), 0, 0)
-    assert len(part) == round(0.5 * len(whole))
-    alone = replace(training, views=training.views[:1])
-    with pytest.raises(UserError, match="two or more overlapping"):
-        Epipolar().build(alone, (), 0, 0)

@@ -12,12 +12,7 @@ from torch import Tensor
 from framework.compute.rng import stream
 from framework.metrics.evaluate import evaluate_view
 from framework.records.provenance import provenance, strict_json
-from framework.records.record import (
-    RunRecord,
-    SceneInfo,
-    StageTime,
-    write_run,
-)
+from framework.records.record import RunRecord, SceneInfo, StageTime, write_run
 from framework.records.run_files import HistoryRow
 from framework.types import Camera, Gaussians, View
 

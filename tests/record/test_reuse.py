@@ -11,12 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from framework.command.config.schema import register_config, rows
-from framework.exports.formats import SUFFIXES
-from framework.exports.render import _png
-from framework.files.locks import LOCK
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
@@ -28,18 +24,9 @@ from framework.records.record import (
     find_complete,
     read_record,
 )
-from framework.records.run_files import (
-    EXPORT,
-    EXPORTED,
-    HISTORY_CSV,
-    METRICS_CSV,
-    PICTURES,
-    VIDEOS,
-    VIEW,
-)
+from framework.records.run_files import HISTORY_CSV
 from framework.run import experiment
 from framework.run.experiment import run_experiment
-from framework.train.resume.checkpoint import FOLDER
 from tests.built import load_scene
 
 SCENE = {"width": 96, "height": 72, "supersampling": 2}
@@ -97,16 +84,6 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_what_a_process_killed_at_its_end_left_is_removed(tmp_path: Path) -> None:
-    config = small_config(group("depth", "plane_sweep"))
-    run(config, tmp_path / "run")
-    whole = sorted(tmp_path.rglob("*"))
-    (tmp_path / "run" / LOCK).write_text("")
-    (tmp_path / "run" / FOLDER).mkdir()
-    assert run(config, tmp_path / "run")[1]
-    assert sorted(tmp_path.rglob("*")) == whole
-
-
 def test_a_replaced_depth_map_is_another_run(tmp_path: Path) -> None:
     maps = tmp_path / "depth"
     maps.mkdir()
@@ -143,37 +120,6 @@ def test_replaced_weights_are_another_run(tmp_path: Path, monkeypatch: pytest.Mo
     assert not reused and other.identity != first.identity
 
 
-def test_a_damaged_table_is_no_complete_run(tmp_path: Path) -> None:
-    config = small_config(group("depth", "plane_sweep"))
-    run(config, tmp_path / "run")
-    (tmp_path / "run" / METRICS_CSV).write_text("x", encoding="utf-8")
-    assert not run(config, tmp_path / "run")[1]
-    assert run(config, tmp_path / "run")[1]
-
-
-def test_what_was_made_of_an_older_model_goes_with_it(tmp_path: Path) -> None:
-    config = small_config(group("depth", "plane_sweep"))
-    run(config, tmp_path / "run")
-    built = [VIEW, *VIDEOS, f"{EXPORT}/scene.compressed.ply", f"{PICTURES}/IMG 1.png"]
-    left = [tmp_path / "run" / name for name in built]
-    names = [f"{EXPORT}/scene.blend", f"{PICTURES}/mine.png", "renders/mine.png", "photos/mine.jpg"]
-    names += [f"{FOLDER}/mine.txt", ".mine.tmp"]
-    theirs = [tmp_path / "run" / name for name in names]
-    for path in (*left, *theirs):
-        path.parent.mkdir(exist_ok=True)
-        path.touch()
-    left[-1].write_bytes(_png(np.zeros((4, 4, 3), np.uint8)))
-    Image.new("RGB", (4, 4)).save(theirs[1])
-    assert run(config, tmp_path / "run")[1] and all(path.exists() for path in left)
-    (tmp_path / "run" / RECORD).unlink()
-    run(config, tmp_path / "run")
-    assert not any(path.exists() for path in left) and all(path.exists() for path in theirs)
-
-
-def test_formats_that_are_removed_are_those_of_export() -> None:
-    assert {f".{ending}" for ending in EXPORTED} == set(SUFFIXES.values())
-
-
 def truncate(file: Path) -> None:
     file.write_bytes(file.read_bytes()[:-100])
 
@@ -197,18 +143,3 @@ def test_a_damaged_run_is_repeated(
     damage(file)
     assert find_complete(folder, identity) is None
     assert file.name in damaged_file(folder, identity)
-
-
-def test_a_repeated_run_says_why_and_removes_stale_pictures(finished: Path, tmp_path: Path) -> None:
-    config, folder = small_config(group("depth", "plane_sweep")), tmp_path / "run"
-    shutil.copytree(finished, folder)
-    truncate(folder / PLY)
-    progress = Recorder()
-    run_experiment(config, folder, progress)
-    assert any(PLY in note and note.startswith("warning") for note in progress.notes)
-    assert run(config, folder)[1]
-    fewer = {**config["scene"], "n_views": 4}
-    before = {path.name for path in (folder / "photos").iterdir()}
-    run({**config, "scene": fewer}, folder)
-    assert {path.name for path in (folder / "photos").iterdir()} != before
-    assert len(list((folder / "photos").iterdir())) == 4

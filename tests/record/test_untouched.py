@@ -15,11 +15,8 @@ from framework.records.progress import Silent
 from framework.run import preparation
 from framework.run.experiment import run_experiment
 from framework.types import DepthMap
-from tests.built import load_scene
 from tests.documents.registered import as_before
-from tests.record.test_reuse import SCENE, group, small_config
-
-EMBEDDED = load_scene("embedded", SCENE)
+from tests.record.test_reuse import group, small_config
 
 
 @pytest.fixture(autouse=True)
@@ -65,30 +62,3 @@ def test_the_next_run_is_what_it_would_be_alone(tmp_path: Path, name: str, choic
     after = run_experiment(config(), tmp_path / "after", Silent())
     assert after.parameters_sha256 == alone.parameters_sha256
     assert after.summary == alone.summary
-
-
-def test_nor_is_what_one_that_fails_leaves_behind(tmp_path: Path) -> None:
-    alone = run_experiment(config(), tmp_path / "alone", Silent())
-    with pytest.raises(ValueError, match="lost"):
-        odd = config(depth=group("depth", "spoiler", broken=True))
-        run_experiment(odd, tmp_path / "odd", Silent())
-    after = run_experiment(config(), tmp_path / "after", Silent())
-    assert after.parameters_sha256 == alone.parameters_sha256
-
-
-def test_a_plugin_that_reads_by_name_is_not_asked_in_vain(tmp_path: Path) -> None:
-    """Kernels are compiled beside, on views of other names."""
-
-    @register("depth", "by_name")
-    @dataclass(frozen=True)
-    class ByName(DepthProvider):
-        """Knows the views of the embedded scene."""
-
-        def measure(self, training: Any) -> tuple[DepthMap, ...]:
-            reference = {view.name: 2.0 for view in EMBEDDED.training.views}
-            size = training.views[0].image.shape[1:]
-            maps = [torch.full(size, reference[view.name]) for view in training.views]
-            return tuple(DepthMap(far, torch.ones(size)) for far in maps)
-
-    done = run_experiment(config(depth=group("depth", "by_name")), tmp_path / "run", Silent())
-    assert done.parameters_sha256

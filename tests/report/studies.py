@@ -1,13 +1,8 @@
-"""Made-up studies: of many records (few distinct runs, written once and copied), and of archives
-whose runs have given numbers."""
+"""Made-up studies: archives whose runs have given numbers."""
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import json
-import shutil
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -18,14 +13,12 @@ import yaml
 from framework.metrics.values import METRICS as MEASURED
 from framework.metrics.values import Missing
 from framework.records.archive import ARCHIVE, Entry, archive
-from framework.records.provenance import ROOT
 from framework.records.record import Run, RunRecord, SceneInfo, StageTime
 from framework.records.run_files import Table
 from framework.report import build_report
-from framework.report.study.collect import collect
 from framework.report.study.methods import Method
 from framework.report.study.study import Study
-from tests.record.fakes import fake_run, make_config
+from tests.record.fakes import make_config
 
 V = TypeVar("V")
 
@@ -90,75 +83,6 @@ def _run(folder: Path, one: Row) -> Run:
     )
     course = Table({}, {key: np.zeros(0) for key in ("step", "seconds", "test_psnr")})
     return Run(folder / "runs" / str(one["run"]), record, metrics, course)
-
-
-METHODS = (("none", "none"), ("none", "uar"), ("safi", "none"), ("safi", "uar"))
-DISTINCT = 4  # seeds of which the images and metrics differ
-
-
-def write_study(folder: Path, scenes: int, seeds: int) -> int:
-    """Write `METHODS` on so many scenes with so many seeds; returns the number of records."""
-    with tempfile.TemporaryDirectory() as source:
-        built = {
-            (method, seed): fake_run(Path(source), *method, seed=seed)
-            for method in METHODS
-            for seed in range(DISTINCT)
-        }
-        for scene in range(scenes):
-            for method in METHODS:
-                for seed in range(seeds):
-                    run = folder / "runs" / f"scene{scene}-{'-'.join(method)}-s{seed}"
-                    shutil.copytree(built[method, seed % DISTINCT], run)
-                    _rename(run / "record.json", f"scene{scene}", seed)
-    return scenes * seeds * len(METHODS)
-
-
-def _rename(record: Path, scene: str, seed: int) -> None:
-    content = json.loads(record.read_text(encoding="utf-8"))
-    content["config"]["seed"] = seed
-    content["config"]["scene"]["name"] = scene
-    content["scene"] |= {"name": scene, "fingerprint": scene.encode().hex()}
-    record.write_text(json.dumps(content), encoding="utf-8")
-
-
-def write_committed(folder: Path, name: str) -> None:
-    """Records with the PSNR of a committed study, as far as its methods are pairs of augmenter and
-    regularizer."""
-    runs = collect(ROOT / "reports" / "committed" / name).runs
-    rows = [
-        {"method": run.method.label, "scene": run.scene, "seed": run.seed, "psnr": run.mean("psnr")}
-        for run in runs
-        if "," not in run.method.label
-    ]
-    with tempfile.TemporaryDirectory() as source:
-        built = {
-            method: fake_run(Path(source), *method.split(" + "), seed=0)
-            for method in sorted({row["method"] for row in rows})
-        }
-        for row in rows:
-            run = (
-                folder
-                / "runs"
-                / f"{row['scene']}-{row['method'].replace(' + ', '-')}-{row['seed']}"
-            )
-            shutil.copytree(built[row["method"]], run)
-            _rename(run / "record.json", row["scene"], int(row["seed"]))
-            _set_psnr(run, float(row["psnr"]))
-
-
-def _set_psnr(run: Path, psnr: float) -> None:
-    """Shift every view, so that the mean is this."""
-    record = json.loads((run / "record.json").read_text(encoding="utf-8"))
-    shift = psnr - record["summary"]["psnr"]["mean"]
-    record["summary"]["psnr"]["mean"] = psnr
-    record["parameters_sha256"] = hashlib.sha256(f"{psnr}".encode()).hexdigest()
-    (run / "record.json").write_text(json.dumps(record), encoding="utf-8")
-    with (run / "metrics.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    with (run / "metrics.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(row | {"psnr": float(row["psnr"]) + shift} for row in rows)
 
 
 def labelled(by_method: Mapping[Method, V]) -> dict[str, V]:

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
-import pytest
-
-from framework.errors import UserError
-from framework.records.record import write_failed
 from framework.report import build_report
 from framework.report.costs import choices
 from framework.report.figures.charts import cost_charts
@@ -17,7 +12,7 @@ from framework.report.findings import contests
 from framework.report.statistics.outcomes import outcomes
 from framework.report.statistics.robustness import failure_rate
 from framework.report.study.collect import collect
-from tests.record.fakes import fake_run, make_config
+from tests.record.fakes import fake_run
 from tests.report.studies import called, first_screen, labelled
 
 
@@ -27,16 +22,6 @@ def test_runs_of_different_code_are_told(tmp_path: Path) -> None:
     code = collect(tmp_path).runs[0].record.provenance["code"]
     record.write_text(record.read_text().replace(code, "0" * 64))
     assert "2 versions of the code" in first_screen(tmp_path)
-
-
-def test_own_plugins_are_no_other_version_of_the_code(tmp_path: Path) -> None:
-    for seed in (0, 1):
-        path = fake_run(tmp_path, seed=seed) / "record.json"
-        record = json.loads(path.read_text())
-        record["provenance"] |= {"plugins": {"reg=none": str(seed)}}
-        path.write_text(json.dumps(record))
-    text = first_screen(tmp_path)
-    assert "2 versions of `reg=none`" in text and "versions of the code" not in text
 
 
 def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:
@@ -54,24 +39,6 @@ def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:
     assert bases["safi + none"] == bases["none + none, init=sparse"] == "none + none"
 
 
-def test_a_repetition_that_failed_is_told(tmp_path: Path) -> None:
-    run_dir = fake_run(tmp_path)
-    write_failed(run_dir, make_config(), [], "no memory")
-    study = collect(tmp_path)
-    assert len(study.runs) == 1 and not study.failed
-    assert "was repeated and failed (no memory)" in first_screen(tmp_path)
-
-
-def test_evened_exposures_are_told(tmp_path: Path) -> None:
-    runs = [fake_run(tmp_path, run_name=name, seed=i) for i, name in enumerate(("even", "not"))]
-    assert "exposed" not in first_screen(tmp_path)
-    record = json.loads((runs[0] / "record.json").read_text(encoding="utf-8"))
-    record["provenance"]["exposure_rms"] = 0.094
-    (runs[0] / "record.json").write_text(json.dumps(record), encoding="utf-8")
-    text = first_screen(tmp_path)
-    assert "Photos were exposed differently (" in text and " by 9 % in 1 of 2 runs, root" in text
-
-
 def test_learned_weights_are_a_separate_league(tmp_path: Path) -> None:
     runs = [fake_run(tmp_path, reg=reg, seed=0) for reg in ("none", "uar")]
     assert "separate league" not in first_screen(tmp_path)
@@ -83,31 +50,6 @@ def test_learned_weights_are_a_separate_league(tmp_path: Path) -> None:
         text = first_screen(tmp_path)
         assert f"Depth of {named} comes from a network that was trained on other scenes" in text
         assert "(IterMVS, dtu): a separate league" in text
-
-
-def test_merged_studies_lack_only_what_each_of_them_lacks(tmp_path: Path) -> None:
-    for seed in (0, 1):
-        fake_run(tmp_path / "a", seed=seed)
-    fake_run(tmp_path / "b", scene="fern", seed=0)
-    study = collect([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
-    assert study.scenes == ["embedded", "fern"] and study.missing == ()
-    assert study.folder_of(study.runs[0].run.run_dir) == "../a/runs/embedded-none-none-s0"
-
-
-def test_a_folder_without_runs_is_one_line(tmp_path: Path) -> None:
-    for folder in (tmp_path, tmp_path / "nothing"):
-        with pytest.raises(UserError, match="folder with runs"):
-            collect(folder)
-
-
-def test_methods_that_did_nothing_are_told(tmp_path: Path) -> None:
-    """Where a method never took effect its runs have the baseline's bits."""
-    for seed in range(3):
-        fake_run(tmp_path, "none", "none", seed, bits=seed)
-        fake_run(tmp_path, "safi", "none", seed, bits=seed if seed < 2 else 9.0)
-        fake_run(tmp_path, "none", "uar", seed)
-    text = first_screen(tmp_path)
-    assert "Baseline and SAFI produced identical parameters (embedded, seeds 0 and 1)" in text
 
 
 def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:
@@ -124,56 +66,6 @@ def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:
     assert all(not c.comparison.baseline.capacity and c.comparison.tests == 4 for c in actual)
     assert [round(c.comparison.difference) for c in actual] == [2, -3, 2, -3]
     assert all(c.comparison.n == 3 and c.parameters == 1.0 for c in actual)
-
-
-def test_draws_of_one_scene_are_not_scenes_like_these(tmp_path: Path) -> None:
-    """Comparisons of capacities, like all others."""
-    for draw in range(3):
-        for name, gain in (("fixed", 0.0), ("adc", 2.0)):
-            capacity = {"name": name, "weight": 1.0}
-            condition = {"split": f"llff_drawn{draw}"}
-            for seed in range(2):
-                fake_run(tmp_path, seed=seed, gain=gain, capacity=capacity, condition=condition,
-                         run_name=f"{draw}{name}{seed}")  # fmt: skip
-    (contest,) = contests(collect(tmp_path))
-    assert len(contest.comparison.scenes) == 3 and contest.comparison.like is None
-
-
-def test_one_capacity_makes_no_contest(tmp_path: Path) -> None:
-    for steps in (100, 400):
-        fake_run(tmp_path, trainer={"steps": steps}, run_name=f"{steps}")
-    assert contests(collect(tmp_path)) == []
-
-
-def test_baseline_comes_first_and_runs_are_sorted(tmp_path: Path) -> None:
-    for augment, seed in (("safi", 1), ("none", 10), ("none", 2), ("safi", 0)):
-        fake_run(tmp_path, augment, seed=seed)
-    study = collect(tmp_path)
-    assert study.baseline.label == "none + none"
-    assert [(run.method.label, run.seed) for run in study.runs] == [
-        ("none + none", 2),
-        ("none + none", 10),
-        ("safi + none", 0),
-        ("safi + none", 1),
-    ]
-    assert study.notes == ()
-
-
-def test_a_repeated_run_is_noted_and_left_out(tmp_path: Path) -> None:
-    fake_run(tmp_path, run_name="a")
-    fake_run(tmp_path, run_name="b/nested")
-    study = collect(tmp_path)
-    assert len(study.runs) == 1
-    assert "left out in favour of `a`" in study.notes[0]
-
-
-def test_the_baseline_has_the_same_budget(tmp_path: Path) -> None:
-    for augment in ("none", "safi"):
-        for steps in (100, 400):
-            fake_run(tmp_path, augment, trainer={"steps": steps}, run_name=f"{augment}{steps}")
-    study = collect(tmp_path)
-    base = study.baseline_of(called(study, "safi + none, steps=400"))
-    assert base.label == "none + none, steps=400"
 
 
 def test_a_budget_without_the_baseline_has_no_comparison(tmp_path: Path) -> None:
@@ -203,13 +95,6 @@ def test_a_budget_without_the_baseline_has_no_comparison(tmp_path: Path) -> None
     assert "Not compared, because no baseline has the same budget: UAR, steps=400; SAFI," in text
 
 
-def test_failed_runs_have_the_name_of_their_method(tmp_path: Path) -> None:
-    fake_run(tmp_path, "safi", seed=0)
-    write_failed(tmp_path / "runs" / "x", make_config("safi", seed=1), ["seed=1"], "no overlap")
-    (failed,) = collect(tmp_path).failed
-    assert (str(failed.method), failed.scene, failed.seed) == ("SAFI", "embedded", 1)
-
-
 def test_a_failed_run_without_a_record_is_listed(tmp_path: Path) -> None:
     fake_run(tmp_path, "safi", seed=0)
     folder = tmp_path / "runs" / "x"
@@ -220,34 +105,6 @@ def test_a_failed_run_without_a_record_is_listed(tmp_path: Path) -> None:
     (folder / "failed.json").write_text("{")
     (damaged,) = collect(tmp_path).failed
     assert damaged.kind == "damaged" and damaged.error.startswith("failed.json: expected JSON")
-
-
-def test_failed_runs_of_a_recipe_have_its_name_where_all_of_a_scene_failed(tmp_path: Path) -> None:
-    """There its other options (`conf/for_scene`) give it another name than elsewhere."""
-
-    def config(reg: str, name: str, start: float) -> dict[str, Any]:
-        options = {"name": reg, "weight": 1.0, "start": start}
-        return make_config() | {"reg": options, "scene": {"name": name, "n_views": 3}}
-
-    for recipe, reg in (("baseline", "none"), ("corgs", "uar")):
-        path = fake_run(tmp_path, reg=reg, scene="fern") / "record.json"
-        content = json.loads(path.read_text())
-        content |= {"overrides": [f"method={recipe}"], "config": config(reg, "fern", 0.0)}
-        path.write_text(json.dumps(content))
-    lost = config("uar", "scan65", 0.2)
-    write_failed(tmp_path / "runs" / "x", lost, ["method=corgs"], "no overlap")
-    study = collect(tmp_path)
-    assert {run.method.label for run in study.runs} == {"none + none", "corgs"}
-    assert [str(run.method) for run in study.failed] == ["CoR-GS"]
-    assert not [cell for cell in study.missing if cell[:1] == ("scan65",) and cell[1].recipe]
-
-
-def test_a_run_that_was_begun_and_left_nothing_is_told(tmp_path: Path) -> None:
-    fake_run(tmp_path, run_name="whole")
-    (tmp_path / "runs" / "killed" / "checkpoints").mkdir(parents=True)
-    (tmp_path / "runs" / ".trash").mkdir()
-    text = first_screen(tmp_path)
-    assert "1 run was begun and has no result: still running, or killed (`killed`)" in text
 
 
 def test_missing_runs_of_a_cross(tmp_path: Path) -> None:

@@ -10,10 +10,8 @@ from pathlib import Path
 import pytest
 
 from framework.records.record import write_failed
-from framework.report import build_report, gallery, render
-from framework.report.study.collect import collect
+from framework.report import build_report
 from tests.record.fakes import fake_run, make_config
-from tests.report.studies import write_study
 
 HOSTILE = (
     "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>`[a](javascript:b) | {{body}}"
@@ -84,56 +82,6 @@ def test_the_page_needs_nothing_else(page: str) -> None:
     )
 
 
-def test_the_viewer_has_every_method_view_and_seed(page: str) -> None:
-    data = json.loads(Elements(page).scripts[0])
-    assert len({tuple(shot[1:4]) for shot in data["shots"]}) == len(data["shots"]) == 2 * 3 * 4
-    assert max(max(shot[5:8]) for shot in data["shots"]) == len(data["images"]) - 1
-    assert all(image.startswith("data:image/webp;base64,") for image in data["images"])
-    assert {shot[8] for shot in data["shots"]} == set(range(len(data["methods"])))
-
-
-def test_charts_are_drawn_once_and_can_be_filtered(page: str, study_dir: Path) -> None:
-    marks = [a for tag, a in Elements(page).found if tag == "g" and "data-method" in a]
-    assert {mark["data-method"] for mark in marks} == {"0", "1"}
-    svg = (study_dir / "differences.svg").read_text(encoding="utf-8")
-    assert page.count("<svg ") == len(list(study_dir.glob("*.svg"))) and "method" in svg
-    assert "var(--s0)" in page and 'stroke="#000000"' not in page.partition("<script")[0]
-
-
-def test_the_contents_link_to_every_section(page: str) -> None:
-    ids = {str(a["id"]) for tag, a in Elements(page).found if tag == "h2"}
-    (contents,) = re.findall(r'<nav class="toc".*?</nav>', page, re.DOTALL)
-    assert set(re.findall(r'href="#([^"]+)"', contents)) == ids >= {"results", "appendix"}
-
-
-def test_what_does_not_fit_is_told(study_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gallery, "MOST_BYTES", 1)
-    actual = gallery.gallery(study := collect(study_dir), study.scenes)
-    assert {(shot[1], shot[2]) for shot in actual.shots} == {(str(m), 0) for m in study.methods}
-    assert len(actual.shots) == 2 and actual.left_out == 22
-
-
-def test_what_is_about_one_of_many_scenes_is_folded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(render.templates().globals, "MANY", 3)  # as with 12, and sooner
-    for name, scenes in (("few", 2), ("many", 3)):
-        write_study(tmp_path / name, scenes=scenes, seeds=1)
-        build_report(tmp_path / name)
-    few, many = ((tmp_path / n / "report.md").read_text(encoding="utf-8") for n in ("few", "many"))
-    assert "<details>" not in few and "\n### scene0\n" in few
-    inside = re.findall(r"<details><summary>(.+?)</summary>(.*?)</details>", many, re.DOTALL)
-    assert len(inside) == many.count("<details>") == many.count("</details>")
-    assert {scene for scene, _ in inside} == {f"scene{i}" for i in range(3)}
-    assert not any(re.search(r"^## |Machine: ", text, re.MULTILINE) for _, text in inside)
-
-
-def test_no_two_headings_share_a_link(tmp_path: Path) -> None:
-    page = render.Page("x", tmp_path)
-    names = [page.heading(2, text).anchor for text in ("a", "A", "a 2", "a", "a")]
-    assert names[:2] == ["a", "a-1"] and len({*names}) == len(names)
-
-
 @pytest.fixture
 def looked_at(tmp_path: Path) -> Path:
     """Two runs; the first has a page and a video."""
@@ -159,14 +107,3 @@ def test_the_page_and_the_video_of_a_run_are_linked(looked_at: Path) -> None:
     for name in ("view.html", "video.webp"):
         (looked_at / "runs" / "none" / name).unlink()
     assert not re.search(r"\| (View|Video) ", build_report(looked_at).read_text(encoding="utf-8"))
-
-
-def test_the_page_holds_a_small_video_of_each_method(
-    looked_at: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    build_report(looked_at)
-    (video,) = _data(looked_at, "videos")
-    assert video[2:] == [0, "data:image/webp;base64,dmlkZW8="]
-    monkeypatch.setattr(gallery, "VIDEO_BYTES", 4)
-    build_report(looked_at)
-    assert _data(looked_at, "videos") == [] and len(_data(looked_at, "looks")) == 2

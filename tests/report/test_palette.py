@@ -7,15 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from framework.report.figures.palette import (
-    DARK,
-    DASHES,
-    LIGHT,
-    LOOKS,
-    MARKERS,
-    look_of,
-    looks,
-)
+from framework.report.figures.palette import DARK, LIGHT
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB
 DEFICIENCIES = {
@@ -46,24 +38,3 @@ def test_lightness_alone_tells_them_apart(colors: tuple[str, ...], paper: float)
 def test_colour_blind_readers_tell_them_apart(kind: str, colors: tuple[str, ...]) -> None:
     seen = [np.clip(np.array(DEFICIENCIES[kind]) @ linear(c), 0, 1) ** (1 / 2.2) for c in colors]
     assert min(float(np.abs(a - b).max()) for a, b in itertools.combinations(seen, 2)) > 0.1
-
-
-def test_looks_of_equal_colour_differ_in_line_and_marker() -> None:
-    lines = [(look_of(k).color, str(look_of(k).dash)) for k in range(LOOKS)]
-    marks = [(look_of(k).color, look_of(k).marker) for k in range(LOOKS)]
-    assert len(set(lines)) == len(set(marks)) == LOOKS == len(LIGHT) * len(DASHES)
-    assert len(MARKERS) == len(LIGHT) == len(DARK)
-
-
-def test_a_method_keeps_its_look_in_every_report() -> None:
-    alone = {name: looks([name])[name] for name in ("none + none", "none + uar", "safi + none")}
-    assert alone == {"none + none": 0, "none + uar": 1, "safi + none": 2}
-    crowd = looks([*alone, "a + b", "none + uar, reg.p=0.2", "z + none"])
-    assert {name: crowd[name] for name in alone} == alone
-    assert looks(["z + none"]) == looks(["z + none"])
-    assert len(set(crowd.values())) == len(crowd)
-
-
-def test_there_may_be_more_methods_than_looks() -> None:
-    actual = looks([f"method {k}" for k in range(LOOKS + 3)])
-    assert len(actual) == LOOKS + 3 and set(actual.values()) == set(range(LOOKS))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 import shutil
 import subprocess
@@ -69,12 +68,6 @@ def test_results_for_a_paper(study_dir: Path) -> None:
     ]
 
 
-def test_the_appendix_cites_the_methods_and_the_software(report: str) -> None:
-    references = report.partition("### References")[2]
-    assert "@article{kerbl2023gaussians," in references and "eprint = {2606.20842}" in references
-    assert references.count("@article") == 2
-
-
 def test_table_numbers_are_the_records(study_dir: Path, report: str) -> None:
     runs = [run for run in collect(study_dir).runs if str(run.method) == "SAFI + UAR"]
     values = [float(run.run.metrics.numbers["psnr"].mean()) for run in runs]
@@ -85,36 +78,6 @@ def test_table_numbers_are_the_records(study_dir: Path, report: str) -> None:
     assert cells[1] == f"{np.mean(values):.2f} ± {half:.2f}"
     assert cells[2].startswith(f"{np.std(values, ddof=1):.2f} [")
     assert cells[5] == "18.1" and cells[7] == "12"
-
-
-def test_report_has_all_parts(study_dir: Path, report: str) -> None:
-    for heading in (
-        *("Stability", "Failed runs", "Worst case"),
-        *("Quality over training time", "Missing metrics", "Every run", "Provenance"),
-    ):
-        assert f"\n### {heading}\n" in report
-    assert "depth: a \\| b" in report
-    assert "LPIPS: missing in 6 of 6 runs: no weights in use" in report
-    assert "- `+augment=safi +reg=uar`: seed 0, 1, 2" in report
-    assert "| Baseline  " in report and "| 1 of 4 [5 to 70 %]" in report
-    assert str(study_dir) not in report and str(ROOT) not in report
-
-
-def test_every_run_is_a_row_of_the_table(study_dir: Path, report: str) -> None:
-    with (study_dir / "runs.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert "runs.csv" in report
-    assert [row["seed"] for row in rows] == ["0", "1", "2"] * 2
-    assert len({row["augment.name"] for row in rows}) == 2 and "scene.name" not in rows[0]
-    psnr = {m: np.mean([float(r["psnr"]) for r in rows if r["method"] == m])
-            for m in ("none + none", "safi + uar")}  # fmt: skip
-    assert psnr["safi + uar"] - psnr["none + none"] == pytest.approx(2.0, abs=0.5)
-
-
-def test_links_lead_to_files(study_dir: Path, report: str) -> None:
-    targets = re.findall(r"\]\(([^)#]+)\)", report)
-    assert {"closeup_embedded.jpg", "curves_embedded.png", "curves_embedded.svg"} <= set(targets)
-    assert all((study_dir / target).exists() for target in targets)
 
 
 def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
@@ -156,12 +119,6 @@ def test_images_are_of_the_same_views_and_seed(study_dir: Path) -> None:
         assert image.width == 792 and len(np.unique(np.asarray(image.convert("L")))) > 100
 
 
-def test_views_without_tags_are_best_median_worst(tmp_path: Path) -> None:
-    fake_run(tmp_path, tagged=False)
-    shown = choose_views(collect(tmp_path), "embedded")
-    assert dict(shown.views) == {"test 00": "best", "test 02": "median", "test 03": "worst"}
-
-
 def test_failed_missing_and_repeated_runs_are_told_first_and_the_report_builds(
     tmp_path: Path,
 ) -> None:
@@ -177,20 +134,6 @@ def test_failed_missing_and_repeated_runs_are_told_first_and_the_report_builds(
     assert "No run finished of SAFI + UAR." in first_screen
     assert "ran twice" in first_screen
     assert "- Baseline on embedded: seed 1" in text and "no overlap" in text
-
-
-def test_of_two_of_the_same_run_the_one_that_measured_more_stays(tmp_path: Path) -> None:
-    fake_run(tmp_path, "none")
-    copy = tmp_path / "runs" / "z"
-    shutil.copytree(tmp_path / "runs/embedded-none-none-s0", copy)
-    content = json.loads((copy / "record.json").read_text(encoding="utf-8"))
-    content["summary"]["lpips"] = {"mean": 0.1, "missing": None}
-    (copy / "record.json").write_text(json.dumps(content), encoding="utf-8")
-    study = collect(tmp_path)
-    assert [run.run.run_dir.name for run in study.runs] == ["z"]
-    assert any(
-        "embedded-none-none-s0` is left out in favour of `z`" in note for note in study.notes
-    )
 
 
 def test_studies_are_merged_on_the_command_line(tmp_path: Path) -> None:
@@ -228,44 +171,6 @@ def test_a_report_can_be_built_without_photos(tmp_path: Path) -> None:
     assert shots is not None and "embedded" in shots[1] and "fern" not in shots[1]
 
 
-def test_several_scenes(tmp_path: Path) -> None:
-    for scene in ("door", "fern"):
-        for seed in range(2):
-            for augment, gain in (("none", 0.0), ("safi", 2.0)):
-                fake_run(tmp_path, augment, seed=seed, gain=gain, scene=scene)
-    text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "on these 2 scenes" in text and "from the spread over these 2: " in text
-    assert text.count("| mean of all") == 2 and "| door" in text and "| fern °" in text
-    assert (tmp_path / "closeup_fern.jpg").is_file() and (tmp_path / "curves_door.svg").is_file()
-
-
-def test_pictures_are_of_the_best_budget_of_each_method(tmp_path: Path) -> None:
-    for augment in ("none", "safi"):
-        for steps, gain in ((100, 0.0), (400, 1.5)):
-            options = {"trainer": {"steps": steps}, "run_name": f"{augment}{steps}"}
-            fake_run(tmp_path, augment, gain=gain, **options)
-    study = collect(tmp_path)
-    assert [run.method.label for run in choose_views(study, "embedded").runs] == [
-        "none + none, steps=400",
-        "safi + none, steps=400",
-    ]
-    text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "- Within 15" in text
-    assert "Of each method, the budget with the highest mean PSNR" in text
-
-
-def test_a_run_of_its_own_folder(tmp_path: Path) -> None:
-    run_dir = fake_run(tmp_path)
-    text = build_report(run_dir, "One run").read_text(encoding="utf-8")
-    assert text.startswith("# One run\n")
-
-
-def test_only_failed_runs(tmp_path: Path) -> None:
-    write_failed(tmp_path / "runs" / "a", make_config(), [], "no overlap")
-    text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "No run of this study finished." in text and "no overlap" in text
-
-
 def test_bad_folder_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert command(["report", str(tmp_path / "nothing")]) == 2
     errors = capsys.readouterr().err
@@ -279,22 +184,3 @@ def test_importing_the_report_needs_no_torch() -> None:
         "assert not bad, bad"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
-
-
-@pytest.mark.parametrize("members", [1, 2])
-def test_the_curve_of_several_members_is_explained(tmp_path: Path, members: int) -> None:
-    fake_run(tmp_path, trainer={"steps": 800, "sh_degree": 0, "members": members})
-    text = build_report(tmp_path).read_text()
-    assert ("the last point is the ensemble" in text) == (members > 1)
-
-
-def test_a_report_without_a_finished_run_is_written_and_an_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "runs" / "x").mkdir(parents=True)
-    (tmp_path / "runs" / "x" / "record.json").write_text("{}", encoding="utf-8")
-    assert command(["report", str(tmp_path)]) == 2
-    said = capsys.readouterr()
-    assert "\nreport: " in said.out and said.err.count("\n") == 1
-    assert f"{tmp_path}: expected a finished run, got 1 failed or damaged" in said.err
-    assert (tmp_path / "report.md").is_file()

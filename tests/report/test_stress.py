@@ -19,7 +19,6 @@ from framework.report.study.axes import STRESSES
 from framework.report.study.collect import collect
 from framework.report.study.methods import PLAIN, Method
 from tests.record.fakes import fake_run
-from tests.report.studies import first_screen, row, table
 
 UAR = Method("none", "uar")
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
@@ -44,19 +43,15 @@ def course(limit: Limit) -> str:
     ("axis", "levels", "gains", "expected"),
     [
         (VIEWS, [9, 3, 2], [0.01, 0.0, -0.01], "UAR: no significant difference at any strength ("),
-        (VIEWS, [9, 3, 2], [-0.5, -0.4, -0.3], "UAR costs quality at every tested strength ("),
-        (VIEWS, [9, 4, 2], [0.5, 0.4, 0.3], "UAR helps at every tested strength ("),
         (
             *(VIEWS, [9, 4, 2], [-0.5, -0.5, 0.5]),
             "UAR helps at 2 training views and costs quality at 9 and 4 training views (",
         ),
-        (VIEWS, [9, 4, 2], [-0.5, -0.01, 0.01], "UAR costs quality at 9 training views ("),
         (
             *(STRENGTH, [0, 0.5, 1], [0.5, 0.5, -0.5]),
             "UAR helps at strength 0 and 0.5 and costs quality at strength 1, and stops helping at"
             " strength 0.75 (",
         ),
-        (STRENGTH, [0, 0.5, 1], [0.01, -0.01, -0.5], "UAR costs quality at strength 1 ("),
     ],
 )
 def test_the_sentence(axis: Any, levels: list[float], gains: list[float], expected: str) -> None:
@@ -90,64 +85,6 @@ def test_intervals_hold_for_all_methods_and_panels_at_once(tmp_path: Path) -> No
     ]
 
 
-@pytest.mark.parametrize(
-    ("option", "values", "titles"),
-    [
-        ("split", ("llff_drawn0", "llff_drawn1"), ("fern (split=llff_drawn0)",)),
-        ("path", ("/a/fern", "/b/fern"), ("fern (path=/a/fern)", "fern (path=/b/fern)")),
-    ],
-)
-def test_draws_and_folders_have_panels_of_their_own(
-    tmp_path: Path, option: str, values: tuple[str, str], titles: tuple[str, ...]
-) -> None:
-    """What costs with the first of them helps with the second; no run is dropped."""
-    rows = [
-        row(f"fern (n_views={views}, {option}={value})", method, seed, 20.0 + ours,
-            **{f"scene.{option}": value, "scene.n_views": views})
-        for value, gain in zip(values, (-1.0, 1.0), strict=True)
-        for views in (3, 6, 9)
-        for method, ours in (("none + none", 0.0), ("safi + none", gain))
-        for seed in range(4)
-    ]  # fmt: skip
-    study = collect(table(tmp_path, rows))
-    shown = panels(study)
-    assert len(shown) == 2 and {*titles} <= {panel.title for panel in shown}
-    cells = [runs for panel in shown for by in panel.runs.values() for runs in by.values()]
-    assert all([run.seed for run in runs] == [0, 1, 2, 3] for runs in cells)
-    assert sum(map(len, cells)) == len(rows)
-    costs, helps = map(course, limits(study, shown))
-    assert costs.startswith("SAFI costs quality at every tested strength")
-    assert helps.startswith("SAFI helps at every tested strength")
-
-
-def test_all_views_and_their_number_are_pairs_of_one_strength(tmp_path: Path) -> None:
-    """Both labels have nine views: a seed has the mean of both."""
-    cells = {"3": (3, 0.5), "all": (9, 0.2), "9": (9, 0.6)}
-    rows = [
-        row(f"fern (n_views={name})", method, seed, str(20.0 + ours), **{"scene.n_views": views})
-        for name, (views, gain) in cells.items()
-        for method, ours in (("none + none", 0.0), ("safi + none", gain))
-        for seed in range(3)
-    ]
-    study = collect(table(tmp_path, rows))
-    (panel,) = panels(study)
-    (actual,) = limits(study, [panel])
-    assert actual.breakdown.n == 3 and actual.levels == (9, 3)
-    assert [mean for mean, _ in actual.gains] == pytest.approx([0.4, 0.5])
-
-
-def test_the_verdict_of_a_stress(tmp_path: Path) -> None:
-    for views in (2, 3, 4):
-        for augment, gain in (("none", 0.0), ("safi", 6.0), ("dba", -6.0), ("euclidean", 0.0)):
-            for seed in range(3):
-                fake_run(tmp_path, augment, seed=seed, gain=gain, condition={"n_views": views},
-                         run_name=f"{augment}{views}{seed}")  # fmt: skip
-    text = first_screen(tmp_path)
-    assert "**Use SAFI where it helps (below), the baseline elsewhere.**" in text
-    assert "- DBA costs up to " in text and "- SAFI gains up to " in text
-    assert "- Not significant at any strength: Euclidean; an effect of up to " in text
-
-
 def test_bars_and_sentences_agree() -> None:
     """What is said to differ is what the drawn interval says, at every strength."""
     draw = stream(0, "bars")
@@ -157,7 +94,3 @@ def test_bars_and_sentences_agree() -> None:
         for sign, (_, interval) in zip(actual.signs, gains_of_levels(gains), strict=True):
             assert interval is not None
             assert (sign == 0) == (interval.low <= 0 <= interval.high)
-
-
-def test_noise_is_no_difference() -> None:
-    assert "no significant" in course(limit(VIEWS, [9, 4, 2], [-0.5, -0.5, 0.5], spread=50))

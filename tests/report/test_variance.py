@@ -101,14 +101,6 @@ def test_all_courses(
     assert actual.n == 1 and actual.interval is None and not actual.significant
 
 
-def test_no_doubt_and_nothing_but_doubt() -> None:
-    noise = 0.1 * stream(1, "noise").standard_normal((3, 6))
-    sure = break_down(np.arange(3.0), 5 + noise)
-    assert sure.interval is None and sure.significant
-    unsure = break_down(np.arange(3.0), noise)
-    assert unsure.interval is not None and not unsure.significant
-
-
 def test_wilson_of_a_textbook() -> None:
     actual = wilson(1, 10)
     assert (actual.low, actual.high) == pytest.approx((0.0179, 0.4042), abs=1e-4)

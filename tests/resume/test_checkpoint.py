@@ -7,13 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 
-from framework.errors import UserError
 from framework.records.record import parameters_sha256
 from framework.train.optim import Adam
 from framework.train.resume import checkpoint
-from framework.train.resume.checkpoint import Checkpoints, remove_checkpoints
+from framework.train.resume.checkpoint import Checkpoints
 from framework.train.resume.training_state import FieldState, PluginState, TrainerState
 from tests.record.fakes import make_gaussians
 
@@ -90,12 +88,6 @@ def test_one_whose_parts_do_not_fit_is_told_and_the_one_before_is_used(
     assert caplog.text.count("\n") == 1 and "damaged and not used: gaussians.quats" in caplog.text
 
 
-def test_all_go_when_the_run_is_complete(kept: Checkpoints, tmp_path: Path) -> None:
-    remove_checkpoints(tmp_path)
-    remove_checkpoints(tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_they_cost_at_most_a_fiftieth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
     monkeypatch.setattr(checkpoint.time, "perf_counter", lambda: now)
@@ -115,29 +107,3 @@ def test_they_cost_at_most_a_fiftieth(tmp_path: Path, monkeypatch: pytest.Monkey
             spent += 3.0
             assert spent <= 0.062 * now  # the first is guessed: 1 s here, though it took 3
     assert 0 < spent <= 0.02 * now
-
-
-def test_tensors_that_share_memory(tmp_path: Path) -> None:
-    whole = torch.arange(6.0)
-    value = (whole, whole[:3], whole.view(2, 3), whole.detach())
-    path = tmp_path / "a.safetensors"
-    path.write_bytes(checkpoint.pack(value, [], "mine", "test"))
-    for back, expected in zip(checkpoint.unpack(path, [])[1], value, strict=True):
-        assert torch.equal(back, expected)
-
-
-def test_a_state_of_another_run_is_not_taken_apart(tmp_path: Path) -> None:
-    """Its classes may have had other fields."""
-    path = tmp_path / "a.safetensors"
-    path.write_bytes(checkpoint.pack(PluginState(True, None), [PluginState], "other", "test"))
-    assert checkpoint.unpack(path, [], "mine") == ("other", None)
-    with pytest.raises(ValueError):
-        checkpoint.unpack(path, [], "other")
-
-
-def test_a_state_that_cannot_be_held_is_told(tmp_path: Path) -> None:
-    whole = state(1)
-    odd = replace(whole, field=replace(whole.field, plugins={"reg": PluginState(True, object())}))
-    with pytest.raises(UserError, match="plugin state: expected a state of numbers"):
-        Checkpoints(tmp_path, "mine", []).keep(odd)
-    assert list(tmp_path.iterdir()) == []

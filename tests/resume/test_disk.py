@@ -4,23 +4,19 @@ done when there is room again."""
 from __future__ import annotations
 
 import resource
-import shutil
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from framework.command.cli import main
 from framework.errors import UserError
 from framework.files.whole import write_whole
 from framework.records.progress import Silent
-from framework.records.record import read_record
-from tests.built import load_scene
 from tests.cli.conftest import FakeRuns, runs
-from tests.record.test_reuse import SCENE, group, run_experiment, small_config
+from tests.record.test_reuse import group, run_experiment, small_config
 
 __all__ = ["runs"]
 
@@ -58,24 +54,6 @@ def test_a_run_on_a_full_disk_can_be_done_later(tmp_path: Path) -> None:
     assert again.parameters_sha256 == expected.parameters_sha256
 
 
-def test_a_failure_that_cannot_be_written_does_not_end_the_study(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from framework.records import record
-
-    def full(path: Path, content: bytes | str) -> None:
-        raise UserError(f"{path}: expected to write it, got 'No space left on device'")
-
-    monkeypatch.setattr(record, "write_whole", full)
-    runs.failures[0] = UserError("depth: too little")
-    assert main(["seed=0,1", "-m"]) == 2
-    assert len(runs.seen) == 2
-    message = capsys.readouterr().err
-    assert (
-        "depth: too little; " in message and "No space left" in message and message.count("\n") == 4
-    )
-
-
 def test_an_output_folder_that_cannot_be_written(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -85,18 +63,3 @@ def test_an_output_folder_that_cannot_be_written(
         message = capsys.readouterr().err
         assert message.startswith("error: ") and message.count("\n") == 1 and "file" in message
     assert not runs.seen
-
-
-def test_input_that_vanished_is_one_line_and_keeps_what_was_done(tmp_path: Path) -> None:
-    maps = tmp_path / "depth"
-    maps.mkdir()
-    for view in load_scene("embedded", SCENE).training.views:
-        assert view.depth is not None
-        np.save(maps / f"{view.name}.npy", view.depth.numpy())
-    config = small_config(group("depth", "file", path=str(maps), align="none"))
-    done = run_experiment(config, tmp_path / "0", Silent())
-    shutil.rmtree(maps)
-    with pytest.raises(UserError, match="depth") as caught:
-        run_experiment({**config, "seed": 1}, tmp_path / "1", Silent())
-    assert "\n" not in str(caught.value)
-    assert read_record(tmp_path / "0" / "record.json") == done

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import errno
-import fcntl
-import os
 import signal
 import subprocess
 import sys
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -75,21 +71,6 @@ def test_only_a_stale_lock_is_removed(holder: subprocess.Popen[str], tmp_path: P
     assert not (tmp_path / "run" / LOCK).exists() and not left.exists()
 
 
-def test_waiting_for_the_lock(holder: subprocess.Popen[str], tmp_path: Path) -> None:
-    subprocess.Popen(
-        [sys.executable, "-c", f"import os, time; time.sleep(.2); os.kill({holder.pid}, 9)"]
-    )
-    with locked(tmp_path / "run", wait=True):
-        assert holder.wait() == -signal.SIGKILL
-
-
-def test_a_lock_is_released_after_an_error(tmp_path: Path) -> None:
-    for _ in range(2):
-        with pytest.raises(KeyError), locked(tmp_path):
-            raise KeyError
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_runs_done_elsewhere_are_no_failures(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,21 +82,3 @@ def test_runs_done_elsewhere_are_no_failures(
     assert "report: reports/embedded/report.md" in message.out
     assert not (runs.folders[1] / "failed.json").exists()
     assert main(["seed=1"]) == 3
-
-
-def test_without_locks_a_file_stands_for_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def no_locks(*_: object) -> None:
-        raise OSError(errno.ENOSYS, "No locks available")
-
-    monkeypatch.setattr(fcntl, "flock", no_locks)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with (
-            locked(tmp_path),
-            pytest.raises(Busy, match=f"got process {os.getpid()} on "),
-            locked(tmp_path),
-        ):
-            raise AssertionError("both hold the lock")
-    assert not list(tmp_path.iterdir())

@@ -66,19 +66,6 @@ def test_the_order_in_memory_is_kept() -> None:
     assert torch.equal(through(torch.arange(9)[::2]), torch.arange(0, 9, 2))
 
 
-def test_arrays_scalars_and_gradients() -> None:
-    back = through([np.arange(3, dtype=np.int16), np.float32(0.1), np.bool_(True)])
-    assert back[0].dtype == np.int16 and back[0].tolist() == [0, 1, 2]
-    assert back[1] == np.float32(0.1) and type(back[1]) is np.float32 and back[2] == np.bool_(True)
-    assert through(torch.ones(2, requires_grad=True)).requires_grad
-
-
-def test_one_tensor_in_two_places_stays_one() -> None:
-    tensor = torch.ones(3)
-    back = through(Pair(tensor, (tensor,)))
-    assert back.first is back.second[0]
-
-
 @pytest.mark.parametrize(
     "value", [object(), {1, 2}, Stranger(1), [lambda: 1], b"bytes", np.random.default_rng(0)]
 )

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,35 +9,6 @@ from framework.errors import UserError
 from framework.scenes.assemble import Shot, Tracks, assemble
 
 IMAGE = np.zeros((4, 5, 3), dtype=np.uint8)
-
-
-@pytest.mark.parametrize(
-    ("part", "value", "message"),
-    [
-        ("image", np.zeros((4, 5, 3)), r"image as uint8 \[H, W, 3\], got float64 \[4, 5, 3\]"),
-        ("image", IMAGE[..., 0], r"image as uint8 \[H, W, 3\], got uint8 \[4, 5\]"),
-        ("viewmat", np.eye(4)[:3], r"viewmat as \[4, 4\], got float64 \[3, 4\]"),
-        ("K", np.full((3, 3), np.nan), r"K as \[3, 3\]"),
-        ("viewmat", np.diag([2.0, 2.0, 2.0, 1.0]), "right-handed, orthonormal camera axes"),
-        ("viewmat", np.diag([1.0, -1.0, 1.0, 1.0]), "right-handed, .* got left-handed"),
-    ],
-)
-def test_what_is_no_photo_or_camera_is_told_by_its_name(
-    part: str, value: Any, message: str
-) -> None:
-    shot = replace(Shot("one.png", np.eye(4), np.eye(3), IMAGE), **{part: value})
-    with pytest.raises(UserError, match=rf"^view one\.png: expected {message}"):
-        assemble("s", "p", [shot], [], Tracks(), 1.0, 2.0)
-
-
-def test_a_scene_without_points_needs_no_tracks() -> None:
-    shots = []
-    for i in range(3):
-        pose = np.eye(4)
-        pose[0, 3] = 0.1 * i
-        shots.append(Shot(f"{i}.png", pose, np.eye(3), IMAGE))
-    scene = assemble("s", "p", shots, [], Tracks(), 1.0, 2.0)
-    assert scene.training.points.visible.shape == (0, 3)
 
 
 def test_geographic_coordinates_are_refused() -> None:

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 from framework.compute.parallel import set_threads
-from framework.errors import UserError
-from framework.scenes import Embedded
-from framework.scenes.embedded import generate, rig
+from framework.scenes.embedded import generate
 from framework.types import Scene, View
 from tests.built import load_scene
 
@@ -51,20 +47,6 @@ def test_default_bits_are_pinned(scene: Scene) -> None:
     assert digest.hexdigest() == IMAGES_SHA256
 
 
-def test_default_shape(scene: Scene) -> None:
-    assert scene.protocol == "rig"
-    assert [v.name for v in scene.training.views] == ["train00", "train01", "train02"]
-    assert scene.training.views[0].image.shape == (3, 240, 320)
-    tags = [v.tags for v in scene.test]
-    assert tags.count(("interpolating",)) == 4 and tags.count(("extrapolating",)) == 4
-    for view in (*scene.training.views, *scene.test):
-        assert view.depth is not None
-        depth = view.depth
-        assert scene.training.near < float(depth.min()) < 2.5
-        assert 7.0 < float(depth.max()) < scene.training.far
-        assert float(view.image.std()) > 0.15
-
-
 def lift(view: View) -> torch.Tensor:
     """[H, W, 3] world points at the pixel centres."""
     assert view.depth is not None
@@ -95,12 +77,6 @@ def test_depth_poses_and_images_agree(scene: Scene) -> None:
     difference = (second.image.flatten(1)[:, index] - first.image).abs().mean(0)[seen]
     assert 0.7 < float(seen.float().mean()) < 0.9  # overlap of the outermost cameras
     assert float(difference.median()) < 0.03
-
-
-def test_known_depth_of_the_back_wall(scene: Scene) -> None:
-    """The wall's plane is z = 7.5: the points lifted from its pixels lie on it."""
-    wall = (lift(scene.test[0])[..., 2] - 7.5).abs() < 1e-6
-    assert 0.15 < float(wall.float().mean()) < 0.6
 
 
 def test_points_are_exact_and_supported(scene: Scene) -> None:
@@ -158,60 +134,6 @@ def test_cache_is_used_and_a_damaged_one_replaced(
     assert [f.name for f in tmp_path.iterdir()] == [file.name]
 
 
-def test_each_option_has_its_own_scene() -> None:
-    changes = [{"texture": 0.3}, {"gloss": 0.0}, {"spread": 0.5}, {"n_views": 4}]
-    prints = {load_scene("embedded", SMALL | c).fingerprint for c in [{}, *changes]}
-    assert len(prints) == 5
-
-
-def test_texture_and_gloss_act_as_they_say() -> None:
-    def image(**change: float) -> torch.Tensor:
-        return load_scene("embedded", SMALL | change).training.views[0].image
-
-    def detail(x: torch.Tensor) -> float:
-        return float((x[:, :, 1:] - x[:, :, :-1]).abs().mean())
-
-    assert detail(image(texture=0.0)) < 0.8 * detail(image())
-    assert 0.001 < float((image(gloss=0.0) - image()).abs().mean()) < 0.1
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 7, 24])
-def test_rig_marks_what_lies_between_the_cameras(n: int) -> None:
-    train = rig.training_positions(n)
-    assert len(set(train)) == n
-    assert not set(train) & set(rig.TEST_POSITIONS)
-    inside = [rig.is_inside(p, train) for p in rig.TEST_POSITIONS]
-    assert sum(inside) == {1: 0, 2: 1}.get(n, 4) or n > 3
-    assert not any(inside[4:])
-    assert all(rig.is_inside(p, train) for p in train) or n == 1
-
-
-def test_poses_are_rotations_that_look_ahead(scene: Scene) -> None:
-    for view in (*scene.training.views, *scene.test):
-        R = view.camera.viewmat[:3, :3]
-        assert torch.allclose(R @ R.T, torch.eye(3, dtype=torch.float64), atol=1e-12)
-        assert float(torch.linalg.det(R)) == pytest.approx(1.0)
-        assert float(R[2, 2]) > 0.9
-    assert np.allclose(scene.training.views[1].camera.center, [0, 0.5 * Embedded().spread, 0])
-
-
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        ("n_views", 65),
-        ("width", 8),
-        ("height", 5000),
-        ("supersampling", 0),
-        ("spread", 0.0),
-        ("texture", -0.1),
-        ("gloss", 9.0),
-    ],
-)
-def test_options_out_of_range(option: str, value: float) -> None:
-    with pytest.raises(UserError, match=rf"scene.{option}: expected .*, got {value}"):
-        dataclasses.replace(Embedded(), **{option: value})
-
-
 def test_pose_noise_tells_training_poses_wrong_and_nothing_else(scene: Scene) -> None:
     wrong = load_scene("embedded", {"pose_noise": 2.0})
     assert wrong.fingerprint != scene.fingerprint
@@ -222,17 +144,3 @@ def test_pose_noise_tells_training_poses_wrong_and_nothing_else(scene: Scene) ->
         turn = message.camera.viewmat[:3, :3]
         assert torch.allclose(turn @ turn.T, torch.eye(3, dtype=turn.dtype), atol=1e-12)
         assert not torch.equal(message.camera.viewmat, true.camera.viewmat)
-
-
-def test_pose_noise_is_as_large_as_it_says() -> None:
-    """Rms shift of a point at the focus: a turn and a move of `angle` each, hence sqrt(2) angle."""
-    angle = 0.01
-    poses = np.stack([rig.pose((0.0, 0.0, 0.0), 0.35)] * 400)
-    point = np.array([*rig.FOCUS])
-
-    def on_screen(pose: np.ndarray) -> np.ndarray:
-        seen = (point - pose[:, 3]) @ pose[:, :3]
-        return seen[:2] / seen[2]
-
-    shifts = np.array([on_screen(p) for p in rig.perturbed(poses, angle)]) - on_screen(poses[0])
-    assert np.sqrt((shifts**2).mean(axis=0)) == pytest.approx(2**0.5 * angle, rel=0.12)

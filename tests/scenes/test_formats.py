@@ -14,7 +14,6 @@ import torch
 from PIL import Image
 
 from framework.errors import UserError
-from framework.scenes import decoding, images, photo
 from framework.scenes.formats import find_photo
 from framework.scenes.images import list_images, read_image
 from framework.scenes.photos.source import find_source
@@ -85,13 +84,6 @@ def test_photos_of_another_size_scale_the_intrinsics(layout: str, tmp_path: Path
         assert torch.allclose(small.K[1] / small.height, sound.K[1] / sound.height)
 
 
-@pytest.mark.parametrize("layout", [name for name in LAYOUTS if name != "blender"])
-def test_photos_of_other_proportions_are_refused(layout: str, tmp_path: Path) -> None:
-    folder = write(layout, tmp_path / "scan1", lambda image: image.crop((0, 0, 30, 30)))
-    with pytest.raises(UserError, match=r"expected the camera's .*same proportions, got 30x30"):
-        load(layout, folder)
-
-
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("kind", ["WEBP", "TIFF", "BMP"])
 def test_formats_are_read_in_every_layout(layout: str, kind: str, tmp_path: Path) -> None:
@@ -104,46 +96,6 @@ def test_formats_are_read_in_every_layout(layout: str, kind: str, tmp_path: Path
     assert torch.equal(first, second)
 
 
-@pytest.mark.parametrize(
-    ("mode", "most"), [("L", 0), ("1", 0), ("P", 0), ("LA", 0), ("CMYK", 2), ("YCbCr", 40)]
-)
-def test_kinds_of_channels(mode: str, most: int, tmp_path: Path) -> None:
-    grey = Image.fromarray(np.arange(0, 256, dtype=np.uint8).reshape(16, 16))
-    image = grey.convert("RGB").convert(mode)
-    image.save(tmp_path / "a.tif")
-    expected = np.asarray(image.convert("RGB"), int)
-    assert np.abs(read_image(tmp_path / "a.tif") - expected).max() <= most
-
-
-@pytest.mark.parametrize("suffix", [".png", ".tif"])
-@pytest.mark.parametrize("channels", [1, 3])
-def test_of_16_bits_the_upper_byte_is_read(suffix: str, channels: int, tmp_path: Path) -> None:
-    deep = np.arange(48 * channels, dtype=np.uint16).reshape(6, 8, channels) * 400
-    cv2.imwrite(str(tmp_path / f"a{suffix}"), deep)
-    expected = np.broadcast_to((deep >> 8)[..., ::-1], (6, 8, 3))
-    assert np.array_equal(read_image(tmp_path / f"a{suffix}"), expected)
-    cv2.imwrite(str(tmp_path / f"a{suffix}"), np.minimum(deep, 4095))
-    with pytest.raises(UserError, match="as of a sensor of 12 bits; scale them"):
-        read_image(tmp_path / f"a{suffix}")
-
-
-@pytest.mark.parametrize("layout", ["colmap", "transforms", "dtu", "llff"])
-@pytest.mark.parametrize("turn", [1, 6])
-def test_very_large_photos_are_reduced_while_they_are_read(
-    layout: str, turn: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sideways: Mode | None = None if turn == 1 else lambda image: image.rotate(90, expand=True)
-    folder = write(layout, tmp_path / "scan1", sideways, exif=exif(turn))
-    expected = load(layout, folder, downscale=3).training.views[0]
-    for module in (images, photo, decoding):
-        monkeypatch.setattr(module, "IMAGE_PIXELS", 500)
-    view = load(layout, folder, downscale=3).training.views[0]
-    assert torch.equal(view.camera.K, expected.camera.K)
-    assert float((view.image - expected.image).abs().max()) < 1.01 / 255
-    with pytest.raises(UserError, match=r"at most 500 pixels .* set scene.downscale=2 or more"):
-        load(layout, folder, downscale=1)
-
-
 @pytest.mark.parametrize("layout", [name for name in LAYOUTS if name != "blender"])
 def test_an_exif_orientation_is_applied_if_the_size_asks_for_it(
     layout: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
@@ -154,31 +106,6 @@ def test_an_exif_orientation_is_applied_if_the_size_asks_for_it(
     assert torch.equal(view.image, sound.training.views[0].image)
     assert torch.equal(view.camera.K, sound.training.views[0].camera.K)
     assert "have EXIF orientation 6, which is applied" in caplog.text
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("kind", ["PNG", "TIFF"])
-def test_an_exif_orientation_that_may_be_wrong_is_named(
-    layout: str, kind: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """After half a turn it is unclear whether poses are for the upright photo."""
-    sound = load(layout, write(layout, tmp_path / "scan1"))
-    folder = write(layout, tmp_path / "scan2", exif=exif(3), format=kind)
-    view = load(layout, folder).training.views[0]
-    assert torch.equal(view.image, sound.training.views[0].image)
-    assert "have EXIF orientation 3, which is not applied: the poses must" in caplog.text
-
-
-def test_an_exif_orientation_that_poses_ignore_is_fine(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    for k, kind in enumerate(("PNG", "TIFF")):
-        load("colmap", write("colmap", tmp_path / str(k), exif=exif(6), format=kind))
-    assert "EXIF" not in caplog.text
-    folder = write("transforms", tmp_path / "t", exif=exif(6))
-    test_transforms.write(folder)  # without w and h
-    load("transforms", folder)
-    assert "EXIF orientation 6, which is not applied" in caplog.text
 
 
 def test_pictures_that_are_not_read_are_named(
@@ -207,42 +134,12 @@ def test_pictures_that_are_not_read_are_named(
             b"II*\0",
             "got a RAW file \\(.nef\\); develop it",
         ),  # with a thumbnail for a reader
-        ("a.png", b"\x89PNG\r\n", "got a damaged file"),
     ],
 )
 def test_other_formats_are_named(name: str, content: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(UserError, match=message):
         read_image(tmp_path / name)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("images/a.JPG", "./images/a.JPG", "images\\a.JPG", ".\\images\\a.JPG", "images/a"),
-        *("Images/A.jpg", "images/A", "D:\\work\\scene\\images\\a.JPG", "C:/other/a.jpg"),
-        *("/home/bob/scene/images/a.JPG", "\\\\server\\share\\images\\a.JPG"),
-    ],
-)
-def test_names_of_other_systems(name: str, tmp_path: Path) -> None:
-    (tmp_path / "images").mkdir()
-    for file in ("a.JPG", "b.png"):
-        (tmp_path / "images" / file).touch()
-    assert find_photo(tmp_path, name) == tmp_path / "images" / "a.JPG"
-
-
-def test_an_exact_name_comes_first(tmp_path: Path) -> None:
-    for name in ("C:a.jpg", "A.jpg", "a.jpg", "b\\a.jpg"):
-        (tmp_path / name).touch()
-        assert find_photo(tmp_path, name) == tmp_path / name
-
-
-def test_names_that_fit_nothing_or_several_files(tmp_path: Path) -> None:
-    for name in ("a.jpg", "a.png"):
-        (tmp_path / name).touch()
-    assert find_photo(tmp_path, "b.jpg") == tmp_path / "b.jpg"
-    with pytest.raises(UserError, match=r"a: expected one photo .* found a.jpg, a.png; write"):
-        find_photo(tmp_path, "a")
 
 
 def test_no_name_leads_out_of_the_folder(tmp_path: Path) -> None:
@@ -256,3 +153,15 @@ def test_no_name_leads_out_of_the_folder(tmp_path: Path) -> None:
             find_photo(inner, name)
     for name in ("..\\a.jpg", "C:\\..\\a.jpg"):
         assert not find_photo(inner, name).exists()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_of_16_bits_the_upper_byte_is_read(suffix: str, channels: int, tmp_path: Path) -> None:
+    deep = np.arange(48 * channels, dtype=np.uint16).reshape(6, 8, channels) * 400
+    cv2.imwrite(str(tmp_path / f"a{suffix}"), deep)
+    expected = np.broadcast_to((deep >> 8)[..., ::-1], (6, 8, 3))
+    assert np.array_equal(read_image(tmp_path / f"a{suffix}"), expected)
+    cv2.imwrite(str(tmp_path / f"a{suffix}"), np.minimum(deep, 4095))
+    with pytest.raises(UserError, match="as of a sensor of 12 bits; scale them"):
+        read_image(tmp_path / f"a{suffix}")

@@ -20,7 +20,6 @@ from tests.scenes.synthetic import FOCAL, HEIGHT, WIDTH, Point, llff_rows, write
 from tests.scenes.test_transforms import frames, write_ply
 
 LOADERS = ("colmap", "mip360", "transforms", "llff")
-FILES = ("cameras.txt", "images.txt", "points3D.txt")
 
 
 def write(folder: Path, points: list[Point] | None = None) -> Path:
@@ -98,22 +97,6 @@ def test_missing_photos_are_left_out(
         load(loader, tmp_path)
 
 
-def test_llff_without_a_model_refuses_a_missing_photo(tmp_path: Path) -> None:
-    shutil.rmtree(write(tmp_path) / "sparse")
-    (tmp_path / "images/im02.png").unlink()
-    with pytest.raises(UserError, match="got 10 rows and 9 images in images"):
-        load("llff", tmp_path)
-
-
-def test_llff_rows_of_registered_photos(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """LLFF writes rows of the photos that COLMAP registered alone."""
-    write(tmp_path)
-    write_model(tmp_path / "sparse/0", 8, [])
-    np.save(tmp_path / "poses_bounds.npy", llff_rows()[:8])
-    assert names(load("llff", tmp_path))[-1] == "im00.png"
-    assert "2 of 10 photos have no pose" in caplog.text
-
-
 @pytest.mark.parametrize("loader", LOADERS)
 @pytest.mark.parametrize("name", ["im{:02d}.png.png", "im{:02d}.png", "IM{:02d}.PNG"])
 def test_masks(tmp_path: Path, loader: str, name: str, caplog: pytest.LogCaptureFixture) -> None:
@@ -130,37 +113,6 @@ def test_masks(tmp_path: Path, loader: str, name: str, caplog: pytest.LogCapture
     (tmp_path / "masks" / name.format(3)).unlink()
     load(loader, tmp_path)
     assert "1 of 10 photos have no mask and count as a whole" in caplog.text
-
-
-def test_masks_of_reduced_photos_in_folders(tmp_path: Path) -> None:
-    write(tmp_path)
-    for file in (tmp_path / "images").iterdir():
-        for folder in ("images_2/left", "masks/left", "masks_2/left"):
-            (tmp_path / folder).mkdir(parents=True, exist_ok=True)
-            shutil.copy(file, tmp_path / folder / file.name)
-        Image.new("L", (WIDTH, HEIGHT), 255).save(tmp_path / "masks_2/left" / file.name)
-    table = tmp_path / "sparse/0/images.txt"
-    table.write_text(table.read_text().replace(" im", " left/im"))
-    mask = load("colmap", tmp_path, images="images_2").training.views[0].mask
-    assert mask is not None and bool(mask.all())
-
-
-@pytest.mark.parametrize("loader", ["colmap", "mip360", "llff"])
-def test_transparent_pixels_do_not_count(tmp_path: Path, loader: str) -> None:
-    write(tmp_path)
-    pixels = np.full((HEIGHT, WIDTH, 4), 255, np.uint8)
-    pixels[:, :10, 3] = 127
-    Image.fromarray(pixels).save(tmp_path / "images/im01.png")
-    mask = load(loader, tmp_path).training.views[0].mask
-    assert mask is not None and not mask[:, :10].any() and bool(mask[:, 10:].all())
-
-
-@pytest.mark.parametrize("loader", LOADERS)
-def test_given_bounds(tmp_path: Path, loader: str) -> None:
-    scene = load(loader, write(tmp_path), near=0.5)
-    assert scene.training.near == 0.5 < scene.training.far
-    with pytest.raises(UserError, match=r"expected 0 < near < far, got near=3.0, far=2.0"):
-        load(loader, tmp_path, near=3.0, far=2.0)
 
 
 def textured(folder: Path) -> Path:
@@ -196,57 +148,10 @@ def test_known_poses_without_points(
     assert (inputs.near, inputs.far, len(inputs.points.xyz)) == (1.0, 9.0, 0)
 
 
-def test_transforms_without_points(tmp_path: Path) -> None:
-    folder = textured(tmp_path)
-    listed = frames()
-    for i, frame in enumerate(listed):
-        frame["transform_matrix"][0][3] = 0.2 * i
-    data = {"fl_x": 200.0, "frames": listed}
-    (folder / "transforms.json").write_text(json.dumps(data))
-    training = load("transforms", folder).training
-    assert training.near == pytest.approx(5.0, rel=0.05) and len(training.points.xyz) > FEWEST
-    assert len(load("transforms", folder, points="none").training.points.xyz) == 0
-
-
-def without_tracks(folder: Path) -> None:
-    """Remove all tracks from the text model in `folder`."""
-    images, points = folder / "images.txt", folder / "points3D.txt"
-    lines = images.read_text().splitlines()
-    lines[2::2] = [""] * len(lines[2::2])
-    images.write_text("\n".join(lines) + "\n")
-    rows = [
-        row if row.startswith("#") else " ".join(row.split()[:8])
-        for row in points.read_text().splitlines()
-    ]
-    points.write_text("\n".join(rows) + "\n")
-
-
-@pytest.mark.parametrize("loader", ["colmap", "transforms", "llff"])
-def test_points_without_tracks(
-    tmp_path: Path, loader: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    hidden: Point = ((0.4, 0.0, 40.0), (1,))
-    write(tmp_path, [*spread((1, 5, 9), 400), hidden, ((0.5, 0.0, -4.0), (1,))])
-    without_tracks(tmp_path / "sparse/0")
-    flat_photos(tmp_path)
-    training = load(loader, tmp_path).training
-    depths = training.points.xyz[:, 2]
-    assert 350 < len(depths) <= 400 and 4.0 <= float(depths.min()) <= float(depths.max()) < 6.0
-    assert "402 sparse points have no track of" in caplog.text and "test photos" in caplog.text
-
-
 def flat_photos(folder: Path) -> None:
     """Photos of one colour, which says nothing about the colours of points."""
     for file in (folder / "images").iterdir():
         Image.new("RGB", (WIDTH, HEIGHT), (9, 9, 9)).save(file)
-
-
-def test_points_of_another_world_are_left_out(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    without_tracks(write(tmp_path, spread((1, 5, 9), 200)) / "sparse/0")
-    training = load("colmap", tmp_path, near=1.0, far=9.0).training
-    assert len(training.points.xyz) == 0 and "their colours do not match" in caplog.text
 
 
 def test_points_of_one_photo_stay_with_it(tmp_path: Path) -> None:
@@ -262,20 +167,6 @@ def test_points_as_a_ply_in_the_model(tmp_path: Path) -> None:
     write_ply(tmp_path / "sparse/0/points3D.ply", [xyz for xyz, _ in spread((1,))])
     training = load("colmap", tmp_path).training
     assert len(training.points.xyz) > FEWEST and 3.9 < training.near < training.far < 6.1
-
-
-def test_a_model_of_other_poses_in_nerfstudios_folder(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    write(tmp_path)
-    shutil.rmtree(tmp_path / "sparse")
-    write_model(tmp_path / "colmap/sparse/0", 10, [((0, 0, 4.0), (1, 5))], center_step=0.2)
-    training = load("transforms", tmp_path, near=1.0, far=9.0).training
-    assert len(training.points.xyz) == 0 and "its points are not used" in caplog.text
-    with pytest.raises(UserError, match=r"applied_transform to be a 3x4 matrix, got \[1, 2\]"):
-        data = json.loads((tmp_path / "transforms.json").read_text())
-        (tmp_path / "transforms.json").write_text(json.dumps({**data, "applied_transform": [1, 2]}))
-        load("transforms", tmp_path)
 
 
 WORLD = [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 3]]

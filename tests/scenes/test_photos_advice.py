@@ -10,17 +10,13 @@ import pytest
 
 from framework.scenes.photos.advice import advice, failure
 from framework.scenes.photos.options import pairs
-from framework.scenes.photos.result import Overruled, Result
+from framework.scenes.photos.result import Result
 from framework.scenes.photos.search import upright
 from tests.scenes.unplaced import FOUND, NAMES
 
 
 def placed(*missing: int) -> dict[str, int]:
     return {name: 200 for k, name in enumerate(NAMES) if k not in missing}
-
-
-def test_nothing_to_tell() -> None:
-    assert list(advice(FOUND)) == []
 
 
 def test_advice_names_photos_and_neighbours() -> None:
@@ -33,24 +29,6 @@ def test_advice_names_photos_and_neighbours() -> None:
     assert "p05.jpg (too little texture)" in line
     (line,) = advice(replace(FOUND, placed=placed(*range(6, 12)), links=[]))
     assert "p10.jpg (matches: none) and 1 more" in line
-
-
-def test_advice_about_groups_weak_poses_copies_and_focal_length() -> None:
-    (line,) = advice(replace(FOUND, placed=placed(0, 1, 2), groups=[NAMES[:3]]))
-    assert line.startswith("3 photos belong together, but not to the other 9: p00.jpg, p01.jpg")
-    (line,) = advice(replace(FOUND, placed={**placed(), "p03.jpg": 7}))
-    assert line.startswith("placed by few points, so perhaps wrongly: p03.jpg (7)")
-    (line,) = advice(replace(FOUND, copies={"b.jpg": "a.jpg"}))
-    assert line == "left out as copies: b.jpg is a.jpg"
-    (line,) = advice(replace(FOUND, held=True))
-    assert line.startswith("the photos do not determine the focal length")
-
-
-def test_advice_about_a_focal_length_in_exif_that_is_wrong() -> None:
-    (line,) = advice(replace(FOUND, overruled=Overruled(377.0, 609.0, 0.68, 0.18)))
-    assert "609 pixels, and not EXIF's 377, which fits worse (by 0.68" in line
-    (line,) = advice(replace(FOUND, overruled=Overruled(377.0, 609.0, None, 0.18)))
-    assert "with which fewer photos can be placed; were they cropped or edited?" in line
 
 
 def test_failures_say_why() -> None:

@@ -8,9 +8,7 @@ from scipy.optimize import nnls
 
 from framework.compute.rng import stream
 from framework.scenes.assemble import Shot, Tracks, assemble
-from framework.scenes.placement import REACH, _near_hull, placement
-
-SQUARE = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [2.0, 2.0, 0.0]])
+from framework.scenes.placement import REACH, _near_hull
 
 
 def by_least_squares(points: np.ndarray) -> float:
@@ -27,26 +25,6 @@ def test_near_the_hull_is_what_a_least_squares_solver_finds(seed: int) -> None:
     for scale in REACH / max(by_least_squares(points), 1e-9) * np.array([0.9, 1.1]):
         scaled = points * min(scale, 5.0)
         assert _near_hull(scaled) == (by_least_squares(scaled) <= REACH)
-
-
-def test_a_camera_interpolates_within_a_quarter_of_a_spacing() -> None:
-    reach = 2.0 * REACH
-    centers = np.array(
-        [[1.0, 1.0, 0.9 * reach], [1.0, 1.0, 1.1 * reach], [2.4, 1.0, 0.0], [2.6, 1.0, 0.0]]
-    )
-    inside, outside = ("interpolating",), ("extrapolating",)
-    assert placement(centers, SQUARE) == [inside, outside, inside, outside]
-    assert placement(centers * 7 + 5, SQUARE * 7 + 5) == [inside, outside, inside, outside]
-
-
-def test_no_tag_where_all_training_cameras_stand_in_one_place() -> None:
-    assert placement(SQUARE, SQUARE[:1]) == placement(SQUARE, SQUARE[[1, 1]]) == [()] * 4
-
-
-def test_pairs_of_shots_from_one_place_do_not_shrink_the_spacing() -> None:
-    pairs = np.concatenate([SQUARE, SQUARE + 1e-6])
-    centers = np.array([[2.4, 1.0, 0.0], [2.6, 1.0, 0.0]])
-    assert placement(centers, pairs) == placement(centers, SQUARE)
 
 
 def test_a_scene_tags_its_test_views_alone_and_keeps_given_tags() -> None:

@@ -9,13 +9,17 @@ from typing import Any
 import pytest
 
 from framework.scenes.photos import placing, search
-from framework.scenes.photos.advice import failure, shows_no_depth, stands_still
 from framework.scenes.photos.attempt import Attempt
 from framework.scenes.photos.options import STEPS
 from framework.scenes.photos.placing import choose
 from framework.scenes.photos.prepare import Photo
 from framework.scenes.photos.process import Messages
-from framework.scenes.photos.result import Link, Overruled, Result, Try, read_result, write_result
+from framework.scenes.photos.result import Link, Overruled, Try
+
+
+def links(shift: float, flat: bool) -> list[Link]:
+    return [Link(f"{k}.jpg", f"{k + 1}.jpg", 400, shift, flat) for k in range(3)]
+
 
 TOLD = 400.0
 
@@ -56,37 +60,6 @@ def test_whose_focal_length(
     assert built.overruled == overruled
 
 
-def test_nothing_placed_by_the_given_one() -> None:
-    free = model(650, 0.2)
-    built = choose(lambda inputs: [] if inputs else [free], photos(TOLD))
-    assert built.models == [free] and built.overruled == Overruled(TOLD, 650, None, 0.2)
-    assert choose(lambda inputs: [], photos(TOLD)).size == 0
-    assert choose(lambda inputs: [] if inputs else [model(9000, 0.2)], photos(None)).size == 0
-
-
-def test_what_overruled_is_kept(tmp_path: Path) -> None:
-    actual = Result(["a"], {"a": 9}, [], {"a": 500}, [Link("a", "b", 99, 0.1, True)], [], 1.0)
-    for overruled in (None, Overruled(377.0, 609.0, None, 0.18)):
-        write_result(tmp_path, Result(**{**vars(actual), "overruled": overruled}))
-        assert read_result(tmp_path).overruled == overruled
-
-
-def links(shift: float, flat: bool) -> list[Link]:
-    return [Link(f"{k}.jpg", f"{k + 1}.jpg", 400, shift, flat) for k in range(3)]
-
-
-def test_one_place_is_told_from_many() -> None:
-    weak = {"0.jpg": 4, "1.jpg": 4, "2.jpg": 4}
-    assert stands_still(links(0.002, True))
-    assert not any(map(stands_still, [[], links(0.002, False), links(0.1, True)]))
-    assert shows_no_depth(links(0.1, True), {}) and shows_no_depth(links(0.1, True), weak)
-    assert not shows_no_depth(links(0.1, True), dict.fromkeys(weak, 300))
-    assert not shows_no_depth(links(0.1, False), weak) and not shows_no_depth([], {})
-    names = [f"{k}.jpg" for k in range(4)]
-    actual = Result(names, weak, [], dict.fromkeys(names, 900), links(0.1, True), [], 1.0)
-    assert "got a camera that only turned, or something flat" in failure(Path("d/0.jpg"), actual)
-
-
 @pytest.mark.parametrize(("flat", "n_tries"), [(True, 1), (False, len(STEPS))])
 def test_photos_from_one_place_are_tried_once(
     flat: bool, n_tries: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -112,3 +85,11 @@ def test_lower_thresholds_where_photos_are_left_over(monkeypatch: pytest.MonkeyP
     with Path("/dev/null").open("w") as out:
         built = placing.place(STEPS[0], photos(None), Path(), Path(), Messages(out, 9.0))
     assert built.size == 4 and asked == [(False, False), (True, False)]
+
+
+def test_nothing_placed_by_the_given_one() -> None:
+    free = model(650, 0.2)
+    built = choose(lambda inputs: [] if inputs else [free], photos(TOLD))
+    assert built.models == [free] and built.overruled == Overruled(TOLD, 650, None, 0.2)
+    assert choose(lambda inputs: [], photos(TOLD)).size == 0
+    assert choose(lambda inputs: [] if inputs else [model(9000, 0.2)], photos(None)).size == 0

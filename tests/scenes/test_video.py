@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 
 from framework.errors import UserError
 from framework.scenes.images import read_image
-from framework.scenes.photos.source import find_source
-from framework.scenes.photos.video import sharpest_frames, sharpness
+from framework.scenes.photos.video import sharpest_frames
 from tests.scenes.pictures import HEIGHT, WIDTH, photograph, rig
 
 SHARP = (1, 5, 6, 11)  # of 12 frames: the sharp one of each stretch of three
@@ -36,23 +34,6 @@ def test_the_sharpest_frame_of_each_stretch(tmp_path: Path) -> None:
     shown = [int(read_image(file)[:24].mean(axis=(0, 2)).argmax()) // 24 for file in files]
     assert tuple(shown) == SHARP and ticks[-1] == (12, 12)
     assert [file.name for file in files] == sorted(file.name for file in files)
-
-
-def test_more_frames_than_there_are(tmp_path: Path) -> None:
-    files = sharpest_frames(write_video(tmp_path / "clip.mp4"), 40, tmp_path, lambda *_: None)
-    assert len(files) == 12
-
-
-def test_blur_lowers_sharpness() -> None:
-    picture = photograph(rig(6)[0])
-    assert sharpness(picture) > 5 * sharpness(cv2.GaussianBlur(picture, (0, 0), 2).astype(np.uint8))
-
-
-def test_the_key_of_a_video(tmp_path: Path) -> None:
-    video = write_video(tmp_path / "clip.mp4")
-    source = find_source(str(video), 1200, 40)
-    assert source.video and (source.title, source.folder) == ("clip", tmp_path)
-    assert find_source(str(video), 1200, 20).key != source.key
 
 
 def test_what_is_no_video(tmp_path: Path) -> None:

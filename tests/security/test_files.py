@@ -108,20 +108,6 @@ def test_image_bombs_are_refused_by_their_header(tmp_path: Path, width: int, hei
         read_image(tmp_path / "a.png")
 
 
-def test_an_image_beyond_what_pillow_opens(tmp_path: Path) -> None:
-    (tmp_path / "a.png").write_bytes(_png(60_000, 60_000))
-    with pytest.raises(UserError, match=r"Image size \(3600000000 pixels\) exceeds limit"):
-        read_image(tmp_path / "a.png")
-
-
-def test_images_are_of_few_formats_whatever_their_suffix(tmp_path: Path) -> None:
-    Image.new("RGB", (8, 8)).save(tmp_path / "a.png", format="GIF")
-    (tmp_path / "b.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
-    for name in ("a.png", "b.png"):
-        with pytest.raises(UserError, match="expected a readable image"):
-            read_image(tmp_path / name)
-
-
 def _npy_header(shape: object) -> bytes:
     text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}\n".encode()
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
@@ -240,13 +226,6 @@ def test_records_of_wrong_types_are_damaged(tmp_path: Path, change: Callable) ->
     change(record)
     file.write_text(json.dumps(record))
     with pytest.raises(UserError, match="expected a run's record, got a damaged one"):
-        read_record(file)
-
-
-def test_a_record_of_endless_brackets(tmp_path: Path) -> None:
-    file = fake_run(tmp_path) / "record.json"
-    file.write_text("[" * 100_000)
-    with pytest.raises(UserError, match="expected JSON, got something else"):
         read_record(file)
 
 

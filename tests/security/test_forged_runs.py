@@ -16,7 +16,6 @@ from PIL import Image
 
 from framework.command.cli import main as command
 from framework.errors import UserError
-from framework.files.limits import RUNS
 from framework.report.build import build_report
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run
@@ -87,10 +86,6 @@ def _pictures(width: int, height: int) -> Forge:
     buffer = io.BytesIO()
     Image.new("RGB", (width, height)).save(buffer, "PNG")
     return lambda run: [p.write_bytes(buffer.getvalue()) for p in (run / "renders").iterdir()]
-
-
-def _cut(name: str) -> Forge:
-    return lambda run: (run / name).write_bytes((run / name).read_bytes()[:700])
 
 
 def _cell(name: str, column: str, text: str) -> Forge:
@@ -187,13 +182,6 @@ def test_a_damaged_picture_ends_the_report_in_one_line(
     assert "\n" not in str(caught.value) and "runs/x/renders" in str(caught.value)
 
 
-def test_a_study_of_broken_runs_alone_is_reported(tmp_path: Path) -> None:
-    for name in "ab":
-        (tmp_path / "runs" / name).mkdir(parents=True)
-        (tmp_path / "runs" / name / "failed.json").write_text("[")
-    assert "expected JSON" in build_report(tmp_path).read_text(encoding="utf-8")
-
-
 def test_folders_without_end(tmp_path: Path) -> None:
     fake_run(tmp_path)
     (tmp_path / "runs" / "round").symlink_to(tmp_path)
@@ -207,15 +195,6 @@ def test_folders_without_end(tmp_path: Path) -> None:
         os.chdir(inner)
     assert len(collect(tmp_path).runs) == 1
     assert os.system(f"rm -rf '{tmp_path}/deep'") == 0
-
-
-def test_a_cross_that_no_command_could_ask_for_lacks_nothing(
-    study: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert RUNS > 10
-    assert collect(study).missing
-    monkeypatch.setattr("framework.report.study.collect.RUNS", 5)
-    assert not collect(study).missing
 
 
 @pytest.mark.parametrize("where", ["file", "file/below", "x" * 300, "proc"])

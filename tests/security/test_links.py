@@ -58,11 +58,7 @@ def test_a_temporary_file_is_not_written_through_a_link(tmp_path: Path, precious
 
 @pytest.mark.parametrize("name", ["renders", ".hydra/config.yaml", "a.log"])
 def test_a_run_whose_folder_has_a_link(
-    runs: FakeRuns,
-    tmp_path: Path,
-    precious: Path,
-    capsys: pytest.CaptureFixture[str],
-    name: str,
+    runs: FakeRuns, tmp_path: Path, precious: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     link = Path.cwd() / "study" / "runs" / "a" / name
     link.parent.mkdir(parents=True)

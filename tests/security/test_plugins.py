@@ -55,37 +55,3 @@ def test_an_installed_entry_point_is(tmp_path: Path) -> None:
     done = run(tmp_path, str(tmp_path / "site"))
     assert done.returncode == 0, done.stderr
     assert "name: foreign" in done.stdout
-
-
-def test_all_of_a_package_counts_in_what_makes_a_run_the_same(tmp_path: Path) -> None:
-    site = tmp_path / "site"
-    install(site, "")
-    (site / "foreign.py").unlink()
-    (site / "foreign").mkdir()
-    (site / "foreign" / "__init__.py").write_text(PLUGIN)
-    code = (
-        "from framework.run.plugin_code import plugin_hashes as h;"
-        "none = dict(name='none');"
-        "print(h(dict(metrics={}, augment=none, reg=dict(name='foreign'), capacity=none,"
-        " scene=none, depth=none, init=none)))"
-    )
-    hashes = []
-    for helper in ("A = 1\n", "A = 2\n"):
-        (site / "foreign" / "helper.py").write_text(helper)
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        hashes.append(done.stdout)
-    assert hashes[0] != hashes[1]
-
-
-def test_one_that_does_not_import_is_named_in_one_line(tmp_path: Path) -> None:
-    install(tmp_path / "site", "import no_such_module")
-    done = run(tmp_path, str(tmp_path / "site"))
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: entry point foreign = foreign: importing it: ")
-    assert done.stderr.count("\n") == 1

@@ -66,9 +66,3 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
         file.truncate(1 << 40)  # a hole
     with pytest.raises(UserError, match="expected a file of at most 100 bytes"):
         read_bytes(tmp_path / "a", 100)
-
-
-def test_text_that_is_none(tmp_path: Path) -> None:
-    (tmp_path / "a").write_bytes(b"abc\xff")
-    with pytest.raises(UserError, match="expected text in UTF-8, got byte 0xff at 3"):
-        read_text(tmp_path / "a", 100)

@@ -13,10 +13,7 @@ import pytest
 
 from framework.command.config.schema import ROOT
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(sys.platform != "linux", reason="reads /proc"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")]
 
 RUNS, WARM_RUNS, GROWTH = 150, 50, 1.05
 STUDY = [

@@ -20,10 +20,8 @@ import torch
 
 from framework.kernels import rasterize
 from framework.metrics.evaluate import quantise
-from framework.records.cameras import write_cameras
 from framework.records.ply import write_ply
 from framework.view import read_viewed, view_page
-from framework.view.main import main
 from framework.view.server import PageServer
 from tests.view.runs import NEAR, scene_gaussians, seen_run, views
 
@@ -99,33 +97,4 @@ def test_the_page_works_and_shows_what_we_render(tmp_path: Path, browse: Browse)
     training, tested = views()
     assert message["wide"]["names"] == [view.name for view in [*tested, *training]]
     for view, pictures in zip([*tested, *training], message["wide"]["pictures"], strict=True):
-        assert psnr_of(pictures[0], run, view.camera) > LEAST_DB
-
-
-def test_the_file_of_two_runs_works(tmp_path: Path, browse: Browse) -> None:
-    first, second = scene_run(tmp_path), scene_run(tmp_path, 0, 5, augment="safi")
-    exposed = [0.6, 1.0, 1.4]
-    write_cameras(second, *views(), NEAR, exposure=lambda _: exposed)
-    page = tmp_path / "both.html"
-    assert main([str(first), str(second), "--static", str(page)], "fishersplat view") == 0
-    message = browse(page.as_uri())
-    check(message)
-    for view, pictures in zip(views()[1], message["wide"]["pictures"], strict=False):
-        assert psnr_of(pictures[0], first, view.camera) > LEAST_DB
-        assert psnr_of(pictures[1], second, view.camera, exposed) > LEAST_DB
-        assert psnr_of(pictures[1], second, view.camera) < LEAST_DB - 15  # it can fail
-
-
-def test_more_gaussians_than_fit_a_row(tmp_path: Path, browse: Browse) -> None:
-    """Texture rows and chunks of quads have ends."""
-    run = seen_run(tmp_path)
-    gaussians, background = scene_gaussians(3000, 3000)
-    gaussians.log_scales.sub_(1.0)
-    write_ply(run / "point_cloud.ply", gaussians, background)
-    training, tested = views()
-    write_cameras(run, training, tested, NEAR)
-    page = tmp_path / "many.html"
-    page.write_text(view_page([read_viewed(run)]), encoding="utf-8")
-    message = browse(page.as_uri())
-    for view, pictures in zip(tested, message["wide"]["pictures"], strict=False):
         assert psnr_of(pictures[0], run, view.camera) > LEAST_DB

@@ -20,7 +20,7 @@ import pytest
 from framework.command.config.schema import ROOT
 from framework.errors import UserError
 from framework.records.ply import read_splats, write_ply
-from framework.view import check_together, find_run, read_viewed, view_page
+from framework.view import check_together, read_viewed, view_page
 from framework.view.main import main
 from framework.view.pack import packed
 from tests.view.runs import NEAR, scene_gaussians, seen_run, views
@@ -56,12 +56,6 @@ def test_it_holds_the_run(tmp_path: Path) -> None:
     assert data["runs"][0]["near"] == NEAR and data["up"] == pytest.approx([0, -1, 0])
     assert data["cameras"][0]["psnr"] == [pytest.approx(27, abs=0.5)]
     assert "12 Gaussians" in page and "seed 0" in page
-
-
-def test_the_same_run_makes_the_same_page_and_may_be_without_photos(tmp_path: Path) -> None:
-    run = read_viewed(seen_run(tmp_path))
-    assert view_page([run]) == view_page([run])
-    assert data_of(view_page([run], photos=False))["photos"] == []
 
 
 def test_texts_from_the_run_stay_texts(tmp_path: Path) -> None:
@@ -120,17 +114,6 @@ def test_the_packed_gaussians_are_the_run_s(tmp_path: Path, banded: int) -> None
         assert not off.size or np.abs(off).max() <= built.bands[degree] / 120
 
 
-def test_extreme_parameters_do_not_break_it(tmp_path: Path) -> None:
-    gaussians, background = scene_gaussians(20, 20)
-    gaussians.means[0], gaussians.quats[1], gaussians.log_scales[2] = 1e30, 0.0, 3e38
-    gaussians.opacity_logits[3], gaussians.sh0[4], gaussians.shN[5] = -3e38, 3e38, -3e38
-    gaussians.quats[6] = 3e38
-    write_ply(tmp_path / "point_cloud.ply", gaussians, background)
-    with np.errstate(all="raise", under="ignore"):
-        built = packed(read_splats(tmp_path / "point_cloud.ply"))
-    assert all(np.isfinite([*built.log_scales, *built.sh0, *built.bands]))
-
-
 def _transforms(change: Callable[[Any], object]) -> Callable[[Path], object]:
     def forge(run: Path) -> None:
         message = json.loads((run / "transforms.json").read_text())
@@ -178,34 +161,6 @@ def test_a_forged_run_is_told_in_a_line(tmp_path: Path, name: str) -> None:
     assert "\n" not in str(caught.value) and not (tmp_path / "x.html").exists()
 
 
-def test_a_run_of_before_is_shown_without_cameras(tmp_path: Path) -> None:
-    run = seen_run(tmp_path)
-    (run / "transforms.json").unlink()
-    data = data_of(view_page([read_viewed(run)]))
-    assert data["cameras"] == [] and data["photos"] == []
-
-
-def test_a_study_stands_for_its_only_run(tmp_path: Path) -> None:
-    run = seen_run(tmp_path)
-    assert find_run(tmp_path) == run
-    other = seen_run(tmp_path, augment="safi")
-    with pytest.raises(UserError, match="2 runs; name one") as caught:
-        find_run(tmp_path)
-    assert other.name in str(caught.value)
-    with pytest.raises(UserError, match=r"neither record\.json nor runs"):
-        find_run(tmp_path / "runs")
-
-
-def test_each_run_has_its_own_exposure_of_a_camera(tmp_path: Path) -> None:
-    first, other = (seen_run(tmp_path, augment=augment) for augment in ("none", "safi"))
-    _transforms(lambda t: t["frames"][0].update(exposure=[1.25, 1, 0.5]))(other)
-    name = json.loads((other / "transforms.json").read_text())["frames"][0]["file_path"]
-    page = view_page([read_viewed(first), read_viewed(other)])
-    cameras = {c["name"]: c["exposure"] for c in data_of(page)["cameras"]}
-    assert cameras.pop(name) == [[1, 1, 1], [1.25, 1, 0.5]]
-    assert all(exposure == [[1, 1, 1]] * 2 for exposure in cameras.values())
-
-
 def test_two_runs_are_told_apart_and_share_cameras(tmp_path: Path) -> None:
     runs = [read_viewed(seen_run(tmp_path, augment=augment)) for augment in ("none", "safi")]
     check_together(runs)
@@ -216,20 +171,6 @@ def test_two_runs_are_told_apart_and_share_cameras(tmp_path: Path) -> None:
     twice = [runs[0], runs[0]]
     labels = [run["label"] for run in data_of(view_page(twice))["runs"]]
     assert labels[0].endswith(runs[0].folder.name)
-
-
-def test_runs_of_two_scenes_are_refused(tmp_path: Path) -> None:
-    run, other = (seen_run(tmp_path, run_name=name) for name in "ab")
-    message = json.loads((other / "transforms.json").read_text())
-    message["frames"][0]["transform_matrix"][0][3] += 1
-    (other / "transforms.json").write_text(json.dumps(message))
-    with pytest.raises(UserError, match="cameras in other places"):
-        check_together([read_viewed(run), read_viewed(other)])
-    for frame in message["frames"]:
-        frame["file_path"] += "x"
-    (other / "transforms.json").write_text(json.dumps(message))
-    with pytest.raises(UserError, match="no camera of the same name"):
-        check_together([read_viewed(run), read_viewed(other)])
 
 
 @pytest.mark.parametrize(

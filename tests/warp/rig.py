@@ -55,17 +55,12 @@ def _world():  # type: ignore[no-untyped-def]
     return build_world(1.0, 1.0, SAMPLES)
 
 
-def context(epoch: int, log: Callable[[str, float], None], unit: float = 1.0) -> StepContext:
-    """What an augmenter sees in `epoch` of a training on the scene, lengths multiplied by `unit`.
-
-    Its draws do not depend on the unit."""
+def context(epoch: int, log: Callable[[str, float], None]) -> StepContext:
+    """What an augmenter sees in `epoch` of a training on the scene."""
     scene, depth, gaussians = embedded()
     training = scene.training
-    views = tuple(_scaled(view, unit) for view in training.views)
-    larger = gaussians.replace(
-        means=unit * gaussians.means, log_scales=gaussians.log_scales + float(np.log(unit))
-    )
-    near = 0.05 * unit * training.near
+    views = training.views
+    near = 0.05 * training.near
 
     def render(_: Camera) -> Render:
         raise AssertionError("the plugin is not expected to render")
@@ -76,34 +71,26 @@ def context(epoch: int, log: Callable[[str, float], None], unit: float = 1.0) ->
         sh_degree: int | None = None,
         mask: Tensor | None = None,
     ) -> FisherInformation:
-        chosen = larger if others is None else others
+        chosen = gaussians if others is None else others
         return fisher_information(chosen, camera, sh_degree=sh_degree, near=near, mask=mask)
 
-    depth = tuple(DepthMap(unit * d.depth, d.confidence) for d in depth)
     return StepContext(
         step=3 * epoch,
         n_steps=600,
         epoch=epoch,
         views=views,
         depth=depth,
-        gaussians=larger,
+        gaussians=gaussians,
         version=0,
         sh_degree=0,
         background=torch.zeros(3),
-        extent=unit * training.extent,
-        spacing=unit * mean_neighbour_distance([view.camera for view in training.views]),
-        near=unit * training.near,
-        far=unit * training.far,
+        extent=training.extent,
+        spacing=mean_neighbour_distance([view.camera for view in training.views]),
+        near=training.near,
+        far=training.far,
         supports=lambda: prepare(views, depth),
         render=render,
         fisher=fisher,
         rng=lambda purpose: stream(0, f"augment/{purpose}", 3 * epoch),
         log=log,
     )
-
-
-def _scaled(view: View, unit: float) -> View:
-    viewmat = view.camera.viewmat.clone()
-    viewmat[:3, 3] *= unit
-    camera = Camera(viewmat, view.camera.K, view.camera.width, view.camera.height)
-    return View(view.name, camera, view.image)

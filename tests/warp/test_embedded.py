@@ -78,20 +78,3 @@ def test_pseudo_views_show_the_scene(name: str) -> None:
         difference = (view.image - truth(view.camera)).double() ** 2
         errors.append(difference.mean(0)[view.mask > 0])
     assert decibels(torch.cat(errors)) > LEAST.get(name, 28)
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_the_unit_of_length_changes_nothing(name: str) -> None:
-    """The scene in millimetres instead of metres: the same supports, the same image."""
-    images, masks, counts = [], [], []
-    for unit in (1.0, 1000.0):
-        log: dict[str, float] = {}
-        (view,), _ = augmenter(name).pseudo_views(context(10, log.__setitem__, unit), None)
-        assert view.mask is not None
-        images.append(view.image)
-        masks.append(view.mask > 0)
-        counts.append(log[f"{name}_supports"])
-    assert counts[0] == counts[1]
-    assert float((masks[0] != masks[1]).float().mean()) < 1e-3
-    both = masks[0] & masks[1]
-    assert float((images[0] - images[1])[:, both].abs().max()) < 1e-2

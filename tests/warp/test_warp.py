@@ -11,7 +11,7 @@ import torch
 from framework.compute import parallel
 from framework.errors import UserError
 from framework.types import Camera, DepthMap, View
-from framework.warp.zbuffer import Warped, prepare, relative_projection, warp
+from framework.warp.zbuffer import Warped, prepare, warp
 from tests.warp.stage import HALF, SQUARE, camera, exact, photograph
 
 
@@ -108,15 +108,6 @@ def test_threads_do_not_change_a_bit() -> None:
         assert torch.equal(results[0].weight, other.weight)
 
 
-def test_inputs_are_left_alone_and_supports_can_be_used_again() -> None:
-    views, target = stage_views(), camera(0.2, 0.0, 1.5)
-    images = [view.image.clone() for view in views]
-    supports = prepare(views, [exact(view) for view in views])
-    first, second = warp(supports, target), warp(supports, target)
-    assert torch.equal(first.image, second.image)
-    assert all(torch.equal(a, view.image) for a, view in zip(images, views, strict=True))
-
-
 def test_only_trusted_depth_enters() -> None:
     view = stage_views()[0]
     trusted = exact(view)
@@ -128,30 +119,6 @@ def test_only_trusted_depth_enters() -> None:
     warped = warp(prepare([view], [DepthMap(depth, confidence)]), view.camera)
     assert not warped.mask[:, :80].any() and not warped.mask[:20].any()
     assert not warped.mask[-20:].any() and warped.mask[40:60, 90:140].all()
-
-
-def test_erosion_drops_one_pixel_of_borders_but_keeps_lone_holes_lone() -> None:
-    view = photograph(camera(), square=False)
-    depth = exact(view)
-    depth.confidence[60, 80] = 0
-    depth.confidence[:, :40] = 0
-    warped = warp(prepare([view], [depth]), view.camera)
-    assert int((warped.mask[50:70, 60:100] == 0).sum()) == 1
-    assert not warped.mask[50, 40] and warped.mask[50, 41]
-    kept = warp(prepare([view], [depth]), view.camera, erode=False)
-    assert bool(kept.mask[50, 40])
-
-
-def test_relative_projection_agrees_with_the_cameras() -> None:
-    source, target = camera(0.3, -0.2, 0.1, yaw=0.1), camera(-0.4, 0.1, 0.5, yaw=-0.2)
-    col, row, z = 17.5, 93.5, 4.2
-    ray = np.linalg.inv(source.K.numpy()) @ np.array([col, row, 1.0])
-    world = np.linalg.inv(source.viewmat.numpy()) @ np.append(z * ray, 1.0)
-    seen = (target.viewmat.numpy() @ world)[:3]
-    x, y, w = relative_projection(source, target) @ np.array([col, row, 1.0, 1 / z])
-    np.testing.assert_allclose(z * w, seen[2], rtol=1e-12)
-    pixel = target.K.numpy() @ seen
-    np.testing.assert_allclose([x / w, y / w], pixel[:2] / pixel[2], rtol=1e-12)
 
 
 def test_a_camera_that_looks_away_sees_nothing() -> None:
