@@ -24,6 +24,7 @@ at import time, so that reading records stays light.
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -47,6 +48,7 @@ NO_LPIPS = Missing(
     f"no weights in use; fetch them once with `{FETCH_LPIPS}`, or set metrics.lpips_weights to a"
     " state dict file"
 )
+REPORT_S = 2.0  # seconds between two lines about the progress of LPIPS
 
 
 class Measure(Protocol):
@@ -108,6 +110,7 @@ def evaluate(
     network: Lpips | None = None,
     also: Mapping[str, Measure] | None = None,
     both: bool = False,
+    report: Callable[[str], None] | None = None,
 ) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
     """Render and measure every test view.
 
@@ -117,6 +120,7 @@ def evaluate(
         network: measures LPIPS; None leaves it out.
         also: name -> further metrics, see `framework.plugin.Metric`.
         both: also measure LPIPS of images fed in [0, 1].
+        report: called now and then with a line about the progress of LPIPS.
 
     Returns:
         The metrics of each view, and the (view, image [3, H, W]) pairs to save.
@@ -126,7 +130,7 @@ def evaluate(
         start = time.perf_counter()
         image = render(view.camera).detach()
         timed.append((view, image, time.perf_counter() - start))
-    metrics = _measured(timed, network, also, both)
+    metrics = _measured(timed, network, also, both, report)
     return metrics, [(view, image) for view, image, _ in timed]
 
 
@@ -135,12 +139,13 @@ def _measured(
     network: Lpips | None = None,
     also: Mapping[str, Measure] | None = None,
     both: bool = False,
+    report: Callable[[str], None] | None = None,
 ) -> list[ViewMetrics]:
     """The metrics of (view, render [3, H, W], seconds)."""
     pairs = parallel.run_tasks([partial(_pair, r, view.image, view.mask) for view, r, _ in renders])
     images = [(x, y) for x, y, _ in pairs]
     # the longest first, so that all threads end at about the same time
-    tasks = _lpips_tasks(images, network, both)
+    tasks = _lpips_tasks(images, network, both, report)
     tasks["ssim"] = [partial(_ssim, *pair) for pair in images]
     tasks["flip"] = [partial(_flip, *pair) for pair in images]
     values = _run(tasks)
@@ -191,17 +196,36 @@ def mean_of(metrics: Sequence[ViewMetrics], metric: str) -> Measurement:
     return _finite(mean, f"the mean of {metric}")
 
 
+def lpips_of(
+    images: Sequence[tuple[np.ndarray, np.ndarray]],
+    network: Lpips | None,
+    both: bool = False,
+    report: Callable[[str], None] | None = None,
+) -> dict[str, list[Measurement]]:
+    """Measure LPIPS of (render, truth) pairs of [H, W, 3] uint8 images.
+
+    Returns:
+        The values of `lpips` and `lpips_01`; the latter are Missing unless `both` is set.
+    """
+    return _run(_lpips_tasks(images, network, both, report))
+
+
 def _lpips_tasks(
     images: Sequence[tuple[np.ndarray, np.ndarray]],
     network: Lpips | None,
     both: bool,
+    report: Callable[[str], None] | None,
 ) -> dict[str, list[Callable[[], Measurement]]]:
+    count = _Count(len(images) * (1 + both), report or (lambda text: None))
+
     def distance(x: np.ndarray, y: np.ndarray, centred: bool) -> Measurement:
         if network is None:
             return NO_LPIPS
         if not (centred or both):
             return NOT_REQUESTED
-        return _finite(network.distance(x / 255.0, y / 255.0, centred), "LPIPS")
+        value = _finite(network.distance(x / 255.0, y / 255.0, centred), "LPIPS")
+        count.add()
+        return value
 
     return {
         "lpips": [partial(distance, *pair, True) for pair in images],
@@ -215,6 +239,23 @@ def _run(
     """Run all tasks on the kernels' threads and return their values under the same names."""
     values = iter(parallel.run_tasks([task for named in tasks.values() for task in named]))
     return {name: [next(values) for _ in named] for name, named in tasks.items()}
+
+
+class _Count:
+    """Reports how many of `total` images are measured, at most every `REPORT_S` seconds."""
+
+    def __init__(self, total: int, report: Callable[[str], None]) -> None:
+        self.total, self.report = total, report
+        self.done, self.reported_at = 0, time.monotonic()
+        self.lock = threading.Lock()
+
+    def add(self) -> None:
+        """Count one more image; called from several threads."""
+        with self.lock:
+            self.done += 1
+            if time.monotonic() - self.reported_at >= REPORT_S:
+                self.reported_at = time.monotonic()
+                self.report(f"evaluation · LPIPS {self.done}/{self.total} images")
 
 
 def _pair(

@@ -181,6 +181,11 @@ class Findings:
         return [c for c in self.outcomes.sigmas.values() if c.significant]
 
     @property
+    def least_power(self) -> SigmaComparison | None:
+        """The test of standard deviations with the least power; None without one."""
+        return min(self.outcomes.sigmas.values(), key=lambda c: c.detectable, default=None)
+
+    @property
     def untuned_scenes(self) -> list[str]:
         """Tested scenes whose test photos chose no default."""
         return [s for s in self.study.tested if role(self.study.name_of(s)) != CHOSE]

@@ -24,7 +24,7 @@ from framework.compute.stopwatch import Stopwatch
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
 from framework.metrics.coadaptation import with_average, with_coadaptation, with_rank
-from framework.metrics.evaluate import NO_LPIPS, evaluate
+from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.values import (
@@ -65,6 +65,7 @@ from framework.records.record import (
 )
 from framework.records.run_files import remove_made_of_model
 from framework.run import answers, budget, trackers
+from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.plugin_code import plugin_hashes
 from framework.run.preparation import (
     Preparation,
@@ -111,7 +112,7 @@ class Experiment:
         files = {**file_fingerprints(self.config, scene), **plugins}
         identity = identity_of(self.config, scene.fingerprint, code_hash(), files)
         complete = self._complete(identity)
-        if complete is not None:
+        if complete is not None and not lacks_lpips(complete, self.network):
             self.progress.done(_reused(complete))
             remove_stale(self.folder, remove_checkpoints)  # of a run killed after its record
             return complete
@@ -120,6 +121,7 @@ class Experiment:
             complete = self._complete(identity)
             if complete is not None:
                 remove_checkpoints(self.folder)
+                complete = with_lpips(self.folder, complete, self.network)
                 self.progress.done(_reused(complete))
                 return complete
             damage = "" if self.config["force"] else damaged_file(self.folder, identity)
@@ -136,11 +138,8 @@ class Experiment:
         return record
 
     def _complete(self, identity: str) -> RunRecord | None:
-        """The complete record of the same run, unless it is to be repeated, or lacks LPIPS for want
-        of weights that are there now."""
-        complete = None if self.config["force"] else find_complete(self.folder, identity)
-        lacks_lpips = complete is not None and complete.summary.get("lpips") == NO_LPIPS
-        return None if lacks_lpips and self.network is not None else complete
+        """The complete record of the same run, unless it is to be repeated."""
+        return None if self.config["force"] else find_complete(self.folder, identity)
 
     def _with_fewer_test_views(self, preparation: Preparation) -> Preparation:
         """Keep `metrics.views` of the test views, evenly spread."""
@@ -241,6 +240,7 @@ class Experiment:
             self.network,
             {name: registry.part("metric", {"name": name}) for name in names},
             bool(options.get(LPIPS_BOTH)),
+            self.progress.stage,
         )
         metrics = with_average(metrics)
         if options.get(COADAPTATION):

@@ -182,7 +182,7 @@ def _versions(plugin: Plugin, tensors: list[tuple[str, Tensor]]) -> list[tuple[i
     """Return values that change when a tensor is written into.
 
     torch counts its own writes but not NumPy's. For plugins from outside, which no test of this
-    project covers, a checksum is added; see `framework.run.untouched`.
+    project covers, a checksum is added.
     """
     ours = type(plugin).__module__.partition(".")[0] in OURS
     return [(tensor._version, 0 if ours else checksum(tensor)) for _, tensor in tensors]

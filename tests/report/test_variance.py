@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -55,6 +56,19 @@ def test_of_seeds_that_move_as_one_the_ratio_is_nearly_known() -> None:
     assert actual is not None and actual.interval is not None and actual.rho is not None
     assert actual.ratio == pytest.approx(0.5) and 1 - 1e-8 < actual.rho < 1
     assert 0.499 < actual.interval.low < 0.5 < actual.interval.high < 0.501
+
+
+def test_the_detectable_ratio_is_found_in_four_of_five_studies() -> None:
+    """By the F test of independent normal samples, for 4 and 20 seeds, alone and one of five."""
+    for n, tests in ((4, 1), (20, 5)):
+        rows = {seed: float(seed % 3) for seed in range(n)}
+        one = compare_sigmas(Method(), rows, Method(), {k + 99: 2 * v for k, v in rows.items()})
+        assert one is not None
+        ratio = replace(one, tests=tests).detectable
+        draws = stream(0, f"test/{n}").standard_normal((2, 20_000, n))
+        quotient = (draws[0] * ratio).var(1, ddof=1) / draws[1].var(1, ddof=1)
+        found = quotient < stats.f.ppf(0.05 / tests / 2, n - 1, n - 1)
+        assert found.mean() == pytest.approx(0.8, abs=0.01)
 
 
 def test_degenerate_deviations() -> None:

@@ -36,6 +36,7 @@ from framework.report.statistics.estimates import (
 from framework.report.study.methods import Method
 
 M = TypeVar("M")
+POWER = 0.8  # of studies that would find a difference
 MOST_ALIKE = 1 - 1e-9  # a correlation of exactly 1 would leave no noise to test against
 
 
@@ -74,6 +75,16 @@ class SigmaComparison:
     @property
     def significant(self) -> bool:
         return self.p_joint < SIGNIFICANCE
+
+    @property
+    def detectable(self) -> float:
+        """The ratio of true deviations below which 80 % of such studies find a difference.
+
+        It is that of the F test of independent normal samples; pairs that correlate detect more.
+        """
+        freedom = self.n - 1, self.other_n - 1
+        critical = special.fdtri(*freedom, 1 - SIGNIFICANCE / self.tests / 2)
+        return math.sqrt(special.fdtri(*freedom, 1 - POWER) / critical)
 
 
 def compare_sigmas(
