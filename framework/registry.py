@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import UnionType
+from types import ModuleType, UnionType
 from typing import Any, TypeVar
 
 from framework.errors import UserError, nearest_hint, plugin_call, require
@@ -189,6 +189,7 @@ def discover() -> None:
     """Import every plugin module, so that all of them are registered."""
     for package_name in (*GROUPS.values(), *PARTS.values()):
         package = importlib.import_module(package_name)
+        _check_place(package)
         for module in pkgutil.iter_modules(package.__path__):
             name = f"{package_name}.{module.name}"
             if name not in sys.modules:
@@ -215,6 +216,16 @@ def _import_file(name: str, file: Path) -> None:
     except BaseException:
         del sys.modules[name]
         raise
+
+
+def _check_place(package: ModuleType) -> None:
+    """Another package called `plugins` may come before ours on the path; it is not used."""
+    place = Path(str(package.__file__)).resolve()
+    require(
+        place.is_relative_to(FOLDER),
+        f"{package.__name__}: expected the plugins in {FOLDER}, got {place}; take the other package"
+        " called 'plugins' off PYTHONPATH",
+    )
 
 
 @functools.cache

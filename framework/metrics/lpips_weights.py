@@ -79,7 +79,7 @@ def chosen(setting: str | None) -> Path | None:
 
 def fingerprint(setting: str | None) -> str:
     """SHA-256 of the user's own weights; "" for fetched ones, so that fetching keeps a run's
-    identity."""
+    identity: see `framework.run.lpips_later`."""
     return "" if setting in (None, NONE, *MEMBERS) else file_sha256(Path(str(setting)))
 
 

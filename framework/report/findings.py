@@ -183,7 +183,7 @@ class Findings:
     @property
     def least_power(self) -> SigmaComparison | None:
         """The test of standard deviations with the least power; None without one."""
-        return min(self.outcomes.sigmas.values(), key=lambda c: c.detectable, default=None)
+        return min(self.outcomes.sigmas.values(), key=lambda c: c.detectable or 0.0, default=None)
 
     @property
     def untuned_scenes(self) -> list[str]:

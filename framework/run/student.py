@@ -1,4 +1,4 @@
-"""A student of the joined members (`trainer.kept`): their accuracy in a fraction of the Gaussians.
+"""A student of the joined members (`trainer.kept`): most of their accuracy in fewer Gaussians.
 
 Joined members agree with each other more than any of them does with the truth, but they describe
 the same surfaces several times. They can be rendered from any camera. So the first members'
@@ -22,6 +22,7 @@ from framework.compute.rng import stream
 from framework.options import TrainerOptions
 from framework.plugin import Augmenter, StepContext
 from framework.toolbox.elsewhere import camera_between
+from framework.train.resume.training_state import Trained
 from framework.types import Camera, TrainingSet, View
 
 SHARE = 0.75  # of a member's steps that the student of one member takes
@@ -87,6 +88,19 @@ def teacher(training: TrainingSet, render: Callable[[Camera, None], Any], seed: 
         image: Tensor = render(camera, None).rgb.clamp(0, 1)
         views.append(View(f"teacher {k}", camera, image))
     return Teacher(tuple(views))
+
+
+def after_lesson(student: Trained, wall_s: float, cpu_s: float) -> Trained:
+    """The trained student with the seconds in which its teacher was rendered.
+
+    The renders are no pseudo views of the method, so they are not in the dose.
+    """
+    return replace(
+        student,
+        wall_s=student.wall_s + wall_s,
+        cpu_s=student.cpu_s + cpu_s,
+        dose={"steps": student.dose["steps"]},
+    )
 
 
 def cameras(training: TrainingSet, seed: int, count: int) -> list[Camera]:

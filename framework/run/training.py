@@ -19,6 +19,7 @@ from torch import Tensor
 from framework import registry
 from framework.backends import NUMBA, Rasterizer
 from framework.compute.parallel import run_tasks, run_together, threads
+from framework.compute.stopwatch import Stopwatch
 from framework.depth.exposure import Exposures
 from framework.errors import plugin_call
 from framework.files.whole import write_whole
@@ -32,7 +33,7 @@ from framework.records.record import DIVERGED
 from framework.registry import ActivePlugin
 from framework.run import answers, budget
 from framework.run.members import IDLE, in_turn, join, member_seed, second_seed, tuning_options
-from framework.run.student import student_options, teacher
+from framework.run.student import after_lesson, student_options, teacher
 from framework.train import schedule
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints, pack, remove_checkpoints
@@ -227,14 +228,14 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
         gaussians = rounds[-1][0].gaussians
     if schedule.taught(options):
         progress.stage("a student of the members")
-        near, background = run.near(options), separate[0].background
+        watch, last = Stopwatch(), len(parts) - 1
+        background, near = separate[0].background, run.near(options)
         render = thinned(gaussians, background, degree, near, run.rasterizer)
         taught_by = teacher(run.scene.training, render, parts[0].seed)
-        first_ones = [member.gaussians for member in separate[: options.kept]]
-        starts[len(parts) - 1] = join(first_ones)
-        student = task(len(parts) - 1, lambda: None, degree, taught_by)
-        # the teacher's renders are no pseudo views of the method
-        rounds.append([replace(student, dose={"steps": student.dose["steps"]})])
+        starts[last] = join([member.gaussians for member in separate[: options.kept]])
+        prepared_s = watch.wall_s, watch.cpu_s
+        student = task(last, lambda: None, degree, taught_by)
+        rounds.append([after_lesson(student, *prepared_s)])
     return in_turn(rounds, rounds[-1][0].gaussians)
 
 

@@ -1,5 +1,8 @@
-"""What is known of the package gsplat without a GPU: its functions take what we give them, and its
-own versions in torch compute what the stand-in of the other tests does."""
+"""What can be tested of the package gsplat without a GPU.
+
+Its functions take what we give them, and its own versions in torch compute what the stand-in of the
+other tests does.
+"""
 
 from __future__ import annotations
 

@@ -19,9 +19,9 @@ from framework.metrics.evaluate import psnr
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import DIVERGED, parameters_sha256
+from framework.run import student
 from framework.run.members import join, member_seed, thinner
 from framework.run.plane import textured_plane
-from framework.run.student import cameras
 from framework.run.training import Run, renderer, train
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints
@@ -73,6 +73,7 @@ def trained(
     progress: Stopping | None = None,
     seed: int = 0,
     n_threads: int = 1,
+    capacity: dict[str, Any] | None = None,
     **changes: Any,
 ) -> Trained:
     set_threads(n_threads)
@@ -82,6 +83,8 @@ def trained(
         group: {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0}
         for group, name in METHOD.items()
     }
+    if capacity is not None:
+        choices["capacity"] = capacity
     options = dataclasses.replace(OPTIONS, **changes)
     config = {**choices, "seed": seed, "trainer": asdict(options)}
     return train(run, config, progress or Stopping())
@@ -171,15 +174,19 @@ def test_a_student_has_the_gaussians_of_the_members_it_keeps(tmp_path: Path) -> 
         len(trained(tmp_path / str(kept), members=3, kept=kept).gaussians) for kept in (1, 2, 0)
     ]
     assert sizes == sorted(sizes) and sizes[0] < sizes[2] / 2
+    budget = {"name": "budget", "gaussians": 70, "start": 0.0, "stop": 1.0}
+    few = trained(tmp_path / "budget", members=3, steps=24, capacity=budget)
+    assert len(few.gaussians) == 70  # all of the budget, not a member's share
     # as many members as are kept have nothing to learn
     both = [trained(tmp_path / f"two {kept}", members=2, kept=kept) for kept in (2, 0)]
     assert len({parameters_sha256(one.gaussians) for one in both}) == 1
 
 
-def test_a_student_approaches_its_teacher(tmp_path: Path) -> None:
-    """Seen from a camera beside the photos, with the teacher's pseudo views and without."""
+def test_a_student_approaches_its_teacher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seen from beside the photos, more closely than with as many steps on photos alone."""
     taught, joined = (trained(tmp_path / str(k), kept=k, steps=60) for k in (1, 0))
-    alone = trained(tmp_path / "alone", members=1, steps=60)
+    monkeypatch.setattr(student, "PER_PHOTO", 0)
+    alone = trained(tmp_path / "alone", kept=1, steps=60)
     camera = moved_aside(textured_plane(1)[0].views[0].camera, 0.05)
     of_taught, of_joined, of_alone = (
         renderer(one.gaussians, one.background, one.sh_degree, 0.01)(camera)
@@ -190,7 +197,7 @@ def test_a_student_approaches_its_teacher(tmp_path: Path) -> None:
 
 def test_the_teacher_stands_between_and_around_the_photos() -> None:
     training = textured_plane(1)[0]
-    made = cameras(training, 0, 8)
+    made = student.cameras(training, 0, 8)
     assert len({tuple(camera.center.tolist()) for camera in made}) == 8
     spacing = mean_neighbour_distance([view.camera for view in training.views])
     for camera in made:

@@ -33,10 +33,10 @@ from framework.report.statistics.estimates import (
     deviation,
     t_quantile,
 )
+from framework.report.statistics.power import detectable, uncorrelated
 from framework.report.study.methods import Method
 
 M = TypeVar("M")
-POWER = 0.8  # of studies that would find a difference
 MOST_ALIKE = 1 - 1e-9  # a correlation of exactly 1 would leave no noise to test against
 
 
@@ -77,14 +77,9 @@ class SigmaComparison:
         return self.p_joint < SIGNIFICANCE
 
     @property
-    def detectable(self) -> float:
-        """The ratio of true deviations below which 80 % of such studies find a difference.
-
-        It is that of the F test of independent normal samples; pairs that correlate detect more.
-        """
-        freedom = self.n - 1, self.other_n - 1
-        critical = special.fdtri(*freedom, 1 - SIGNIFICANCE / self.tests / 2)
-        return math.sqrt(special.fdtri(*freedom, 1 - POWER) / critical)
+    def detectable(self) -> float | None:
+        """The ratio below 1 that this test finds in 80 % of such studies; None: it finds none."""
+        return detectable(self.n, self.other_n, self.tests, self.rho)
 
 
 def compare_sigmas(
@@ -128,28 +123,6 @@ def brown_forsythe(a: np.ndarray, b: np.ndarray) -> float:
         p = float(levene(a, b, center="median").pvalue)
     # all distances equal within both samples: a difference without noise, or none at all
     return p if math.isfinite(p) else float(np.isclose(np.ptp(a), np.ptp(b)))
-
-
-def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
-    """Test pairs for correlation between differences and sums, for every row of [draws, n].
-
-    Returns:
-        [draws], two-sided p of no correlation: the larger one of that of the values and that of the
-        ranks, each by t with n - 2 degrees of freedom.
-
-    Source:
-        Pitman 1939 and Morgan 1939; McCulloch 1987.
-    """
-    n = differences.shape[1]
-    ranks = [x.argsort(axis=1).argsort(axis=1).astype(np.float64) for x in (differences, sums)]
-    p_values = []
-    for x, y in ((differences, sums), ranks):
-        x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
-        size = np.sqrt((x * x).sum(1) * (y * y).sum(1))
-        r = (x * y).sum(1) / np.maximum(size, 1e-150)  # equal ones are not correlated
-        t = np.abs(r) * np.sqrt((n - 2) / np.maximum(1 - r * r, 1e-300))
-        p_values.append(2 * special.stdtr(n - 2, -t))
-    return np.maximum(*p_values)
 
 
 def _paired_interval(ratio: float, rho: float, n: int) -> Interval:
