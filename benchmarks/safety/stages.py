@@ -186,14 +186,10 @@ def plugins(folder: Path) -> dict[str, str]:
     chosen += ["init=patch_growth init.rounds=20", "init=epipolar", "trainer.opacity_spare=0.5"]
     for k, words in enumerate(chosen):
         run = folder / f"run{k}"
-        overrides = [
-            *size,
-            "depth.planes=48",
-            *words.split(),
-            f"trainer.steps={STEPS}",
-            "threads=2",
-        ]
-        overrides += ["depth.planes=48", "metrics.lpips_weights=none", f"hydra.run.dir={run}"]
+        overrides = [*size, *words.split(), f"trainer.steps={STEPS}", "threads=2"]
+        if "depth=" not in words or words == "depth=plane_sweep":
+            overrides.append("depth.planes=48")
+        overrides += ["metrics.lpips_weights=none", f"hydra.run.dir={run}"]
         code = cli.main(["scene=embedded", *overrides])
         if code != 0:
             raise SystemExit(f"{words}: exit code {code}")

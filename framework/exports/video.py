@@ -110,14 +110,16 @@ def runs_of_methods(folder: Path) -> list[Path]:
         UserError: if there is none.
     """
     lowest: dict[str, tuple[int, Path]] = {}
-    for file in sorted(folder.glob(f"{RUN_FOLDERS}/*/{RECORD}")):
-        record = read_record(file)
+    for run in sorted(folder.glob(f"{RUN_FOLDERS}/*")):
+        if not is_file(run / RECORD):
+            continue
+        record = read_record(run / RECORD)
         if record.status != "complete":
             continue
         scene = record.scene.name if record.scene else ""
         rest = {key: value for key, value in record.config.items() if key != "seed"}
         key = json.dumps([scene, rest], sort_keys=True, default=str)
-        lowest[key] = min(lowest.get(key, (record.seed, file.parent)), (record.seed, file.parent))
+        lowest[key] = min(lowest.get(key, (record.seed, run)), (record.seed, run))
     require(
         bool(lowest), f"{folder}: expected a study with a complete run, found none; run it again"
     )

@@ -53,8 +53,10 @@ def open_regular(path: Path, limit: int) -> BufferedReader:
 def read_bytes(path: Path, limit: int) -> bytes:
     """The content. Raises as `open_regular`, and UserError for one that cannot be read."""
     with open_regular(path, limit) as file:
+        # not `limit`: Python reserves what it is asked to read
+        size = min(limit, os.fstat(file.fileno()).st_size)
         try:
-            return file.read(limit)
+            return file.read(size)
         except OSError as error:  # a damaged disk
             raise _user_error(error, path) from None
 

@@ -63,7 +63,7 @@ def find_run(path: Path) -> Path:
         f"{path}: expected the folder of a run, found {'a file' if path.exists() else 'nothing'};"
         f" it is the one that holds {RECORD}, as {USUAL}",
     )
-    runs = sorted(record.parent for record in path.glob(f"{RUN_FOLDERS}/*/{RECORD}"))
+    runs = sorted(run for run in path.glob(f"{RUN_FOLDERS}/*") if is_file(run / RECORD))
     names = ", ".join(str(run) for run in runs[:FEW]) + (" ..." if len(runs) > FEW else "")
     got = (
         f"{len(runs)} runs; name one: {names}"

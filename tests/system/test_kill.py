@@ -45,6 +45,8 @@ def test_killed_while_a_file_is_written(
 @pytest.mark.parametrize("launcher", LAUNCHERS)
 def test_killed_at_random_moments(launcher: str, place: Place, undisturbed: dict[str, str]) -> None:
     """Each command gets a little longer than the one before."""
+    if launcher == "ray":
+        pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="needs fishersplat[ray]")
     place = replace(place, words=LAUNCHERS[launcher])
     before: dict[str, tuple[int, int]] = {}
     for number in range(RANDOM_KILLS):

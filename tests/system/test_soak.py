@@ -17,13 +17,13 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reas
 
 RUNS, WARM_RUNS, GROWTH = 150, 50, 1.05
 STUDY = [
-    *("-m", "study=soak", "threads=2", "depth=ground_truth", "init.budget=300", "augment=safi"),
+    *("-m", "study=soak", "depth=ground_truth", "init.budget=300", "augment=safi"),
     *("reg=uar", "capacity=budget", "scene.width=64", "scene.height=48", "scene.supersampling=1"),
     *("trainer.steps=4", "trainer.evaluations=1", "metrics.lpips_weights=none"),
     f"seed=range({RUNS})",
 ]
 LAUNCHERS = {
-    "one process": [],
+    "one process": ["threads=2"],
     "joblib": ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "threads=1"],
 }
 Sample = tuple[float, int, int]  # resident MB, open files, threads

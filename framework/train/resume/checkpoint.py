@@ -84,7 +84,8 @@ def unpack(path: Path, classes: Iterable[type], wanted: str | None = None) -> tu
     Raises:
         ValueError: also when it is damaged.
     """
-    file_size(path, CHECKPOINT_BYTES)  # a file, before safetensors maps it
+    if file_size(path, CHECKPOINT_BYTES) == 0:  # before safetensors maps it
+        raise ValueError(f"{path}: not a checkpoint (it is empty)")
     try:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {})[KEY])
