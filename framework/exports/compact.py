@@ -15,10 +15,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from framework.errors import require
 from framework.exports.formats import finest_fraction, full, spz
 from framework.exports.opened import OpenedRun, read_named_cameras
 from framework.files.documents import read_json
@@ -30,6 +31,7 @@ from framework.records.cameras import TRANSFORMS
 from framework.records.photos import photo_files
 from framework.records.run_files import RENDERS, file_stems
 from framework.records.spz import unpacked
+from framework.scenes.images import read_image
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -79,35 +81,56 @@ def read_photos(folder: Path) -> tuple[list[Photo], list[Photo]]:
     """
     import torch
 
-    content = read_json(folder / TRANSFORMS, TEXT_BYTES)
-    cameras = {one.name: one.camera for one in read_named_cameras(folder / TRANSFORMS)}
-    exposures = {f["file_path"]: f.get("exposure", [1.0] * 3) for f in content["frames"]}
+    path = folder / TRANSFORMS
+    content = read_json(path, TEXT_BYTES)
+    cameras = {named.name: named.camera for named in read_named_cameras(path)}
+    exposures = {
+        frame["file_path"]: frame.get("exposure", 3 * [1.0]) for frame in content["frames"]
+    }
 
     def photos(names: Sequence[str], files: Sequence[str]) -> Iterator[Photo]:
         for name, file in zip(names, files, strict=True):
-            if is_file(folder / file):
-                image = _pixels(inside(folder, file), "RGB").permute(2, 0, 1)
-                mask = file.replace("_truth.png", "_mask.png")
-                masked = mask != file and is_file(folder / mask)
-                yield Photo(
-                    cameras[name],
-                    image,
-                    _pixels(inside(folder, mask), "L") if masked else None,
-                    torch.tensor(exposures[name]),
-                )
+            require(name in cameras, f"{path}: expected a camera of {name!r:.80}, got none")
+            if not is_file(folder / file):
+                continue
+            camera, image = cameras[name], _pixels(inside(folder, file))
+            require(
+                image.shape[1:] == (camera.height, camera.width),
+                f"{folder / file}: expected {camera.width}x{camera.height} pixels as its camera has"
+                f", got {image.shape[2]}x{image.shape[1]}; run again",
+            )
+            mask = file.replace("_truth.png", "_mask.png")
+            masked = mask != file and is_file(folder / mask)
+            yield Photo(
+                camera,
+                image,
+                _pixels(inside(folder, mask))[0] if masked else None,
+                torch.tensor(_exposure(exposures[name], path)),
+            )
 
-    train, test = content["train_filenames"], content["test_filenames"]
+    train, test = (_names(content.get(f"{kind}_filenames", []), path) for kind in ("train", "test"))
     shown = [f"{RENDERS}/{stem}_truth.png" for stem in file_stems(test)]
     return [*photos(train, photo_files(train))], [*photos(test, shown)]
 
 
-def _pixels(file: Path, mode: str) -> Tensor:
-    """In [0, 1]."""
-    import torch
-    from PIL import Image
+def _names(value: Any, path: Path) -> list[str]:
+    fits = isinstance(value, list) and all(isinstance(name, str) for name in value)
+    require(fits, f"{path}: expected names of photos, got {str(value)[:80]!r}; run again")
+    return list(value)
 
-    with Image.open(file) as image:
-        return torch.from_numpy(np.array(image.convert(mode), dtype=np.float32) / 255)
+
+def _exposure(value: Any, path: Path) -> list[float]:
+    fits = isinstance(value, list) and len(value) == 3
+    fits = fits and all(type(factor) in (int, float) and 0 < factor < 1e9 for factor in value)
+    require(fits, f"{path}: expected an exposure of 3 positive numbers, got {str(value)[:80]!r}")
+    return [float(factor) for factor in value]
+
+
+def _pixels(file: Path) -> Tensor:
+    """[3, H, W] in [0, 1]."""
+    import torch
+
+    return torch.from_numpy(read_image(file).astype(np.float32) / 255).permute(2, 0, 1)
 
 
 def mean_psnr(run: OpenedRun, gaussians: Gaussians, photos: Sequence[Photo]) -> float:

@@ -29,7 +29,7 @@ def main(arguments: list[str], prog: str) -> int:
     options = _parser(prog).parse_args(arguments)
     require(
         not (options.compact and options.format),
-        "--compact: expected no --format beside it, as it writes SPZ; leave one of them out",
+        "--compact: expected no --format, as it writes SPZ; leave one of them out",
     )
     kinds = [] if options.compact else _kinds(options.format or ["spz"])
     from framework.records.record import RECORD

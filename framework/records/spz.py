@@ -1,7 +1,7 @@
 """Reads Niantic SPZ files of version 3, which `fishersplat export` writes.
 
-A gzip stream of a header (magic, version, number of Gaussians, SH degree, bits behind the point of
-a coordinate, flags) and one array after another: means [N, 3] of 24 bits, opacities [N], sh0
+A gzip stream of a header and arrays. The header has the magic word, the version, the number of
+Gaussians, the SH degree, the bits behind the point of a coordinate, and flags. The arrays are means [N, 3] of 24 bits, opacities [N], sh0
 [N, 3], log_scales [N, 3], quats [N] of 32 bits (the smallest three components) and shN [N, K-1, 3].
 The axes are right, up and back; the result has those of a splat PLY: right, down and forward.
 

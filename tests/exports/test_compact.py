@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -80,3 +82,25 @@ def test_a_run_without_photos_is_written_all_the_same(
     run = run_folder(tmp_path / "run", side_by_side())
     assert main([str(run), "--compact"], "export") == 0
     assert "loss not measured" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"train_filenames": 3}, "names of photos"),
+        ({"train_filenames": ["a/0.jpg", "other"]}, "expected a camera of 'other'"),
+        ({"frames": {"exposure": [1, 2]}}, "an exposure of 3 positive numbers"),
+        ({"frames": {"w": 7}}, "expected 7x36 pixels"),
+    ],
+)
+def test_a_damaged_list_of_photos_ends_in_one_line(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    folder = photographed(tmp_path / "run", small(), side_by_side()).folder
+    content = json.loads((folder / "transforms.json").read_text())
+    for frame in content["frames"]:
+        frame.update(change.get("frames", {}))
+    content.update({key: value for key, value in change.items() if key != "frames"})
+    (folder / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(UserError, match=message):
+        read_photos(folder)
