@@ -1,8 +1,15 @@
 """Reads Niantic SPZ files of version 3, which `fishersplat export` writes.
 
 A gzip stream of a header and arrays. The header has the magic word, the version, the number of
-Gaussians, the SH degree, the bits behind the point of a coordinate, and flags. The arrays are means [N, 3] of 24 bits, opacities [N], sh0
-[N, 3], log_scales [N, 3], quats [N] of 32 bits (the smallest three components) and shN [N, K-1, 3].
+Gaussians, the SH degree, the bits behind the point of a coordinate, and flags. The arrays are
+
+    means [N, 3]      24 bits
+    opacities [N]     8 bits from 0 to 1
+    sh0 [N, 3]        8 bits
+    log_scales [N, 3] 8 bits, in sixteenths from -10
+    quats [N]         32 bits, the smallest three components
+    shN [N, K-1, 3]   8 bits
+
 The axes are right, up and back; the result has those of a splat PLY: right, down and forward.
 
 Source: nianticlabs/spz, load-spz.cc.
