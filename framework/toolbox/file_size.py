@@ -11,16 +11,17 @@ import re
 
 UNITS = {"": 1, "b": 1, "kb": 1_000, "mb": 1_000_000}
 SIZE = re.compile(r"(\d{1,12}(?:\.\d{1,6})?) ?([a-z]*)", re.ASCII | re.IGNORECASE)
-EXPECTED = "a size of at least 1 kB, as 300kB or 1.5MB, or '' for no limit"
+EXPECTED = "a size of at least 1 kB, as 300kB or 1.5MB, or none"
+UNLIMITED = "none"
 MINIMUM = 1_000  # bytes
 HEADER = 100  # bytes of a file beside its Gaussians
 GAUSSIAN, COEFFICIENT = 18.0, 1.0
 
 
 def file_bytes(text: str) -> int | None:
-    """Return the bytes that an option names; 0 for '', and None for what is no size of 1 kB or
-    more."""
-    if text == "":
+    """Return the bytes that an option names; 0 for "none", and None for what is no size of
+    1 kB or more."""
+    if text == UNLIMITED:
         return 0
     match = SIZE.fullmatch(text.strip())
     if match is None or match[2].lower() not in UNITS:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 from framework.errors import require
 from framework.plugin import Edits, StepContext, StepStats
-from framework.toolbox.file_size import EXPECTED, MINIMUM, file_bytes, most_gaussians
+from framework.toolbox.file_size import EXPECTED, MINIMUM, UNLIMITED, file_bytes, most_gaussians
 from framework.toolbox.pull import Pull, PullCapacity
 
 if TYPE_CHECKING:
@@ -53,15 +53,15 @@ class RoundsCapacity(PullCapacity):
     """every: share of the training from one round to the next. grow: of the Gaussians kept, the
     share that a round splits, the strongest pulled first; by default all. until: share of the
     training after which none is split any more. Rounds begin at the framework key `start` and end
-    at `stop`. bytes: the size of the compact file that the Gaussians must fit into, as 300kB; ''
-    for no limit. Members (`trainer.members`) share it."""
+    at `stop`. bytes: the size of the compact file that the Gaussians must fit into, as 300kB.
+    Members (`trainer.members`) share it."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.75}
 
     every: float = 0.1
     grow: float = 1.0
     until: float = 0.6
-    bytes: str = ""
+    bytes: str = UNLIMITED
 
     def __post_init__(self) -> None:
         self.check("bytes", file_bytes(self.bytes) is not None, EXPECTED)
@@ -75,7 +75,7 @@ class RoundsCapacity(PullCapacity):
             f"capacity={self.name}: expected until <= stop, got until={self.until}, stop={stop};"
             " set capacity.until or capacity.stop",
         )
-        if self.bytes:
+        if self.bytes != UNLIMITED:
             self.check_limited(start)
 
     def check_limited(self, start: float) -> None:
