@@ -2,6 +2,7 @@
 
     python benchmarks/quality/exports.py RUN [RUN ...] --transform PATH/TO/splat-transform \\
         --output benchmarks/results/exports.md
+    python benchmarks/quality/exports.py RUN [RUN ...] --compact
 
 Each RUN (the folder of a finished run with test views) is exported in every format, in the frame of
 its cameras. Two independent programs read the files: PlayCanvas' splat-transform (npm,
@@ -9,6 +10,9 @@ its cameras. Two independent programs read the files: PlayCanvas' splat-transfor
 the result from the test cameras. PSNR is measured against the test photos and against our own
 renders of the run, which isolates the loss of the file. splat-transform undoes the rotation of
 SPZ's axes; gsply does not, so it is undone here.
+
+With --compact it prints instead what `fishersplat export --compact` saves and loses, in the frame
+of the cameras, read by our own reader.
 """
 
 from __future__ import annotations
@@ -18,27 +22,26 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from framework.exports.compact import Photo, compact, decoded, mean_psnr, read_photos
 from framework.exports.export import NAME
 from framework.exports.export import main as export
-from framework.exports.formats import SUFFIXES, TURNED
-from framework.exports.opened import OpenedRun, open_run, read_named_cameras
+from framework.exports.formats import SUFFIXES, TURNED, packed
+from framework.exports.opened import OpenedRun, open_run
 from framework.exports.upright import moved_gaussians
 from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
 from framework.metrics.evaluate import psnr
-from framework.records.run_files import RENDERS, file_stems
-from framework.types import Camera, Gaussians
+from framework.types import Gaussians
 
 HEADER = (
     "| scene | Gaussians, SH degree | format | size | of the PLY | read by | read"
@@ -46,25 +49,11 @@ HEADER = (
 )
 GSPLY = ("ply", "compressed-ply", "spz")  # what it reads as well
 OPAQUE = 16.0  # the logit of an opacity that a byte rounds to 1
-Test = list[tuple[Camera, torch.Tensor, torch.Tensor | None]]  # with its photo [3, H, W] and mask
-
-
-def test_views(run: Path) -> Test:
-    """The run's test cameras and photos."""
-    test_names = read_json(run / "transforms.json", TEXT_BYTES)["test_filenames"]
-    cameras = {entry.name: entry.camera for entry in read_named_cameras(run / "transforms.json")}
-    views = []
-    for name, stem in zip(test_names, file_stems(test_names), strict=True):
-        photo = pixels(run / RENDERS / f"{stem}_truth.png", "RGB").permute(2, 0, 1)
-        mask = run / RENDERS / f"{stem}_mask.png"
-        views.append((cameras[name], photo, pixels(mask, "L") if mask.is_file() else None))
-    return views
-
-
-def pixels(file: Path, mode: str) -> torch.Tensor:
-    """In [0, 1]."""
-    with Image.open(file) as image:
-        return torch.from_numpy(np.array(image.convert(mode), dtype=np.float32) / 255)
+COMPACT_HEADER = (
+    "| run | Gaussians, SH degree | SPZ | compact | of SPZ | bytes of a Gaussian | SH degree, bits"
+    " | coordinates | PSNR, stored | SPZ | compact | training photos, compact |\n"
+    "|---|---|---:|---:|---:|---:|---|---:|---:|---:|---:|---:|\n"
+)
 
 
 def of_gsply(data: Any) -> Gaussians:
@@ -107,8 +96,8 @@ def readers(kind: str, transform: str) -> Iterator[tuple[str, Callable[[Path], G
 
 def rows(run: Path, transform: str, folder: Path) -> Iterator[str]:
     """The table's rows of a run."""
-    opened, views = open_run(run), test_views(run)
-    renders = [opened.render(camera).rgb for camera, _, _ in views]
+    opened, (_, photos) = open_run(run), read_photos(run)
+    renders = [opened.render(photo.camera).rgb for photo in photos]
     export([str(run), "--format", "all", "--frame", "scene", "--out", str(folder)], "export")
     whole = (folder / f"{NAME}.ply").stat().st_size
     title = read_json(run / "record.json", TEXT_BYTES)["scene"]["name"]
@@ -119,16 +108,44 @@ def rows(run: Path, transform: str, folder: Path) -> Iterator[str]:
         for reader, read in readers(kind, transform):
             gaussians = read(file)
             seen = OpenedRun(run, gaussians, opened.background, opened.cameras, opened.near)
-            drawn = [seen.render(camera).rgb for camera, _, _ in views]
+            drawn = [seen.render(photo.camera).rgb for photo in photos]
             cells = [title, model, kind, f"{size / 1e6:.2f} MB", f"{100 * size / whole:.0f} %"]
             cells += [reader, f"{len(gaussians):,}"]
-            cells += [mean(drawn, [(photo, mask) for _, photo, mask in views])]
-            yield f"| {' | '.join([*cells, mean(drawn, [(one, None) for one in renders])])} |\n"
+            cells += [f"{mean_psnr(opened, gaussians, photos):.2f} dB", mean(drawn, renders)]
+            yield f"| {' | '.join(cells)} |\n"
 
 
-def mean(drawn: list[torch.Tensor], truth: list[tuple[torch.Tensor, torch.Tensor | None]]) -> str:
-    """Mean PSNR, within the masks."""
-    values = [psnr(one, *other) for one, other in zip(drawn, truth, strict=True)]
+def compact_row(run: Path) -> str:
+    """A run's row of the table of compact files."""
+    opened, (train, test) = open_run(run), read_photos(run)
+    spz = packed(opened.gaussians, opened.background, "spz")
+    result = compact(opened, train)
+
+    def loss(gaussians: Gaussians, photos: Sequence[Photo]) -> str:
+        before = mean_psnr(opened, opened.gaussians, photos)
+        return f"{mean_psnr(opened, gaussians, photos) - before:+.3f}"
+
+    n, small, precision = len(opened.gaussians), len(result.content), result.precision
+    cells = [
+        f"{run.parent.parent.name}",
+        f"{n:,}, {opened.gaussians.sh_degree}",
+        f"{len(spz) / 1e3:.0f} kB",
+        f"{small / 1e3:.0f} kB",
+        f"{100 * small / len(spz):.0f} %",
+        f"{small / n:.1f}",
+        f"{precision.degree}, {precision.bits}" if precision.degree else "0",
+        f"1/{2**precision.fraction}",
+        f"{mean_psnr(opened, opened.gaussians, test):.2f} dB",
+        loss(decoded(spz), test),
+        loss(result.gaussians, test),
+        loss(result.gaussians, train),
+    ]
+    return f"| {' | '.join(cells)} |\n"
+
+
+def mean(drawn: list[torch.Tensor], truth: list[torch.Tensor]) -> str:
+    """Mean PSNR."""
+    values = [psnr(one, other) for one, other in zip(drawn, truth, strict=True)]
     numbers = [value for value in values if isinstance(value, float)]
     return f"{np.mean(numbers):.2f} dB" if len(numbers) == len(values) else "equal"
 
@@ -148,7 +165,11 @@ def main() -> None:
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN")
     parser.add_argument("--transform", default="splat-transform", metavar="PROGRAM")
     parser.add_argument("--output", type=Path)
+    parser.add_argument("--compact", action="store_true", help="measure compact files")
     options = parser.parse_args()
+    if options.compact:
+        print(COMPACT_HEADER, *map(compact_row, options.runs), sep="", end="")
+        return
     reader = version(options.transform)
     text = ""
     for run in options.runs:

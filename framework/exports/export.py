@@ -13,6 +13,8 @@ from framework.exports.formats import SUFFIXES, can_write, check_writer, packed
 from framework.files.whole import make_folder, write_whole
 
 if TYPE_CHECKING:
+    from framework.exports.opened import OpenedRun
+    from framework.exports.rig import Array
     from framework.types import Camera
 
 NAME = "scene"
@@ -25,7 +27,11 @@ def main(arguments: list[str], prog: str) -> int:
         UserError: for bad input.
     """
     options = _parser(prog).parse_args(arguments)
-    kinds = _kinds(options.format)
+    require(
+        not (options.compact and options.format),
+        "--compact: expected no --format, as it writes SPZ; leave one of them out",
+    )
+    kinds = [] if options.compact else _kinds(options.format or ["spz"])
     from framework.records.record import RECORD
     from framework.records.run_files import EXPORT
 
@@ -41,6 +47,8 @@ def main(arguments: list[str], prog: str) -> int:
         " lost",
     )
     _check_no_cameras_of_others(folder)
+    import numpy as np
+
     from framework.exports.flight import distance, lens_of
     from framework.exports.opened import open_run
     from framework.exports.rig import rig
@@ -50,22 +58,48 @@ def main(arguments: list[str], prog: str) -> int:
     run = open_run(options.run)
     cameras = [named.camera for named in run.cameras]
     away = distance(run, rig(cameras), lens_of(cameras, None))
+    motion = upright(rig(cameras), away) if options.frame == "upright" else np.eye(4)
     if options.frame == "upright":
-        motion = upright(rig(cameras), away)
         cameras = [moved_camera(camera, motion) for camera in cameras]
-        run = replace(run, gaussians=moved_gaussians(run.gaussians, motion))
+        moved = [replace(a, camera=b) for a, b in zip(run.cameras, cameras, strict=True)]
+        run = replace(run, gaussians=moved_gaussians(run.gaussians, motion), cameras=tuple(moved))
     # before the first is written, as a format may refuse the model
     files = {f"{NAME}{SUFFIXES[k]}": packed(run.gaussians, run.background, k) for k in kinds}
+    loss = ""
+    if options.compact:
+        files[f"{NAME}{SUFFIXES['spz']}"], loss = _compact(run, motion)
     make_folder(folder)
     _write_cameras(folder, [named.name for named in run.cameras], cameras, run.near)
     write_whole(folder / SETTINGS, settings(cameras, run.background.tolist(), away))
     for name, content in files.items():
         write_whole(folder / name, content)
-        print(f"export: {name} {len(content) / 1e6:.2f} MB", flush=True)
+        size = f"{len(content) / 1e3:.0f} kB" if loss else f"{len(content) / 1e6:.2f} MB"
+        print(f"export: {name} {size}{loss}", flush=True)
     print(
         f"export: {len(run.gaussians):,} Gaussians in {folder}, with their cameras and {SETTINGS}"
     )
     return 0
+
+
+def _compact(run: OpenedRun, motion: Array) -> tuple[bytes, str]:
+    """The smallest SPZ file of a moved run, and what it loses."""
+    from framework.exports.compact import compact, mean_psnr, read_photos
+    from framework.exports.upright import moved_camera
+
+    train, test = (
+        [replace(photo, camera=moved_camera(photo.camera, motion)) for photo in photos]
+        for photos in read_photos(run.folder)
+    )
+    result = compact(run, train)
+    photos, kind = (test, "test") if test else (train, "training")
+    if not photos:
+        return result.content, ", loss not measured as the run has no photos"
+    before, after = (mean_psnr(run, g, photos) for g in (run.gaussians, result.gaussians))
+    return result.content, (
+        f", PSNR {after:.2f} dB on {len(photos)} {kind} photos, {after - before:+.3f} dB compared"
+        f" with the stored Gaussians (SH degree {result.precision.degree} of"
+        f" {run.gaussians.sh_degree}, coordinates in 1/{2**result.precision.fraction})"
+    )
 
 
 def _check_no_cameras_of_others(folder: Path) -> None:
@@ -116,10 +150,15 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--format",
         nargs="+",
-        default=["spz"],
         choices=[*SUFFIXES, "all"],
         metavar="FORMAT",
         help=f"one or more of {', '.join(SUFFIXES)}, or all (default: spz)",
+    )
+    parser.add_argument(
+        "--compact",
+        action="store_true",
+        help="write the smallest SPZ whose PSNR on training photos is at most 0.05 dB lower, and"
+        " print what it loses on the test photos",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of the files (default: RUN/export)"

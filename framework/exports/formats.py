@@ -57,7 +57,7 @@ def packed(gaussians: Gaussians, background: Tensor, kind: str) -> bytes:
         UserError: if its package is missing.
     """
     check_writer(kind)
-    return _WRITERS[kind](_full(gaussians), background)
+    return _WRITERS[kind](full(gaussians), background)
 
 
 def can_write(kind: str) -> bool:
@@ -74,7 +74,7 @@ def check_writer(kind: str) -> None:
     )
 
 
-def _full(gaussians: Gaussians) -> Gaussians:
+def full(gaussians: Gaussians) -> Gaussians:
     """With SH bands for all Gaussians, zeros where there were none."""
     import torch
 
@@ -122,12 +122,16 @@ def _check_places(gaussians: Gaussians, stored: NDArray[np.floating[Any]]) -> No
 
 
 def _spz(gaussians: Gaussians, background: Tensor) -> bytes:
-    import gsply
+    return spz(gaussians, finest_fraction(gaussians))
 
-    from framework.exports.upright import moved_gaussians
 
-    turned = moved_gaussians(gaussians, TURNED)
-    farthest = float(turned.means.abs().max())
+def finest_fraction(gaussians: Gaussians) -> int:
+    """The most bits behind the point with which an SPZ file holds the coordinates.
+
+    Raises:
+        UserError: if even the least are too many.
+    """
+    farthest = float(gaussians.means.abs().max())
     least, most = SPZ_FRACTION
     fraction = min(most, SPZ_BITS - 1 - math.ceil(math.log2(max(farthest, 1.0) * 1.0001)))
     require(
@@ -135,8 +139,27 @@ def _spz(gaussians: Gaussians, background: Tensor) -> bytes:
         f"spz: expected Gaussians within {2 ** (SPZ_BITS - 1 - least):,} of the middle, got one at"
         f" {farthest:.4g}; use another format",
     )
+    return fraction
+
+
+def spz(gaussians: Gaussians, fraction: int) -> bytes:
+    """Return the content of an SPZ file.
+
+    Args:
+        gaussians: all of them with SH bands.
+        fraction: bits behind the point of a coordinate.
+
+    Raises:
+        UserError: if their scales do not fit.
+    """
+    import gsply
+
+    from framework.exports.upright import moved_gaussians
+
+    turned = moved_gaussians(gaussians, TURNED)
     largest = turned.log_scales.max(1).values
-    low = max(-fraction * math.log(2), SPZ_LOG_SCALES[0])  # means are rounded to a grid, too
+    finest = finest_fraction(gaussians)
+    low = max(-finest * math.log(2), SPZ_LOG_SCALES[0])  # means are rounded to a grid, too
     high = SPZ_LOG_SCALES[1]
     lost = float(((largest < low) | (largest > high)).float().mean())
     require(

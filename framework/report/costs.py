@@ -179,11 +179,40 @@ def _best_within(study: Study, within: Sequence[Entry]) -> Entry:
     base = max(plain, key=_gain, default=None)
     if base is not None and any(entry.psnr.n > 1 for entry in within):
         best = max((e for e in within if better(e, base, tests)), key=_gain, default=base)
-    as_good = [
+    family = [entry for entry in within if entry.method.family == best.method.family]
+    return min(_as_good(best, family, tests), key=train_s)
+
+
+def _as_good(best: Entry, options: Sequence[Entry], tests: int) -> list[Entry]:
+    """Those at most `AS_GOOD_DB` below `best` and not significantly worse."""
+    return [
         entry
-        for entry in within
-        if entry.method.family == best.method.family
-        and entry.gain >= best.gain - AS_GOOD_DB
-        and not better(best, entry, tests)
+        for entry in options
+        if entry.gain >= best.gain - AS_GOOD_DB and not better(best, entry, tests)
     ]
-    return min(as_good, key=train_s)
+
+
+@dataclass(frozen=True)
+class Cheapest:
+    """The configuration of the highest PSNR, and the cheapest ones that are as good: in seconds
+    (None if runs of different machines do not compare) and in bytes (None if they are unknown)."""
+
+    best: Entry
+    quickest: Entry | None
+    smallest: Entry | None
+
+
+def cheapest(study: Study, scene: str) -> Cheapest | None:
+    """The cheapest configurations that are nearly as good as the best and not significantly worse;
+    None of a single configuration."""
+    options = entries(study, scene)
+    if len(options) < 2:
+        return None
+    best = max(options, key=_gain)
+    as_good = _as_good(best, options, len(options) - 1)
+    sized = all(entry.megabytes > 0 for entry in options)
+    return Cheapest(
+        best,
+        min(as_good, key=train_s) if one_machine(study, scene) else None,
+        min(as_good, key=megabytes) if sized else None,
+    )

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from framework.report import stress
-from framework.report.costs import Choice, choices, one_machine
+from framework.report.costs import Cheapest, Choice, cheapest, choices, one_machine
 from framework.report.statistics.compare import Comparison, compare, corrected
 from framework.report.statistics.estimates import Interval, Spread
 from framework.report.statistics.numbers import average
@@ -141,6 +141,14 @@ class Findings:
         if self.panels:
             return {}
         by_scene = {scene: choices(self.study, scene) for scene in self.study.tested}
+        return {scene: answer for scene, answer in by_scene.items() if answer}
+
+    @cached_property
+    def cheapest(self) -> dict[str, Cheapest]:
+        """Scene -> the cheapest configurations that are as good as the best."""
+        if self.panels:
+            return {}
+        by_scene = {scene: cheapest(self.study, scene) for scene in self.study.tested}
         return {scene: answer for scene, answer in by_scene.items() if answer}
 
     @property

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from framework.errors import require
 from framework.plugin import Edits, StepContext, StepStats
+from framework.toolbox.file_size import EXPECTED, MINIMUM, UNLIMITED, file_bytes, most_gaussians
 from framework.toolbox.pull import Pull, PullCapacity
 
 if TYPE_CHECKING:
@@ -52,15 +53,18 @@ class RoundsCapacity(PullCapacity):
     """every: share of the training from one round to the next. grow: of the Gaussians kept, the
     share that a round splits, the strongest pulled first; by default all. until: share of the
     training after which none is split any more. Rounds begin at the framework key `start` and end
-    at `stop`."""
+    at `stop`. bytes: the size of the compact file that the Gaussians must fit into, as 300kB.
+    Members (`trainer.members`) share it."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.75}
 
     every: float = 0.1
     grow: float = 1.0
     until: float = 0.6
+    bytes: str = UNLIMITED
 
     def __post_init__(self) -> None:
+        self.check("bytes", file_bytes(self.bytes) is not None, EXPECTED)
         self.check("every", 0 < self.every <= 1, "a share in (0, 1]")
         self.check("grow", 0 <= self.grow <= 1, "a share in [0, 1]")
         self.check("until", 0 <= self.until <= 1, "a share in [0, 1]")
@@ -71,6 +75,27 @@ class RoundsCapacity(PullCapacity):
             f"capacity={self.name}: expected until <= stop, got until={self.until}, stop={stop};"
             " set capacity.until or capacity.stop",
         )
+        if self.bytes != UNLIMITED:
+            self.check_limited(start)
+
+    def check_limited(self, start: float) -> None:
+        """Raise UserError if no round comes that could bring the number of Gaussians to a limit."""
+        last = math.floor(self.until / self.every + 1e-9) * self.every
+        require(
+            start < last,
+            f"capacity={self.name}: expected a round after start and up to until, or the number is"
+            f" never brought to the limit, got start={start}, every={self.every},"
+            f" until={self.until}",
+        )
+
+    def shared(self, members: int) -> Self:
+        size = file_bytes(self.bytes)
+        return replace(self, bytes=f"{max(MINIMUM, size // members)}") if size else self
+
+    def limit(self, ctx: StepContext) -> int | None:
+        """The number of Gaussians that fit into `bytes`; None without a limit."""
+        size = file_bytes(self.bytes)
+        return most_gaussians(size, ctx.gaussians.sh_degree) if size else None
 
     def selected(self, ctx: StepContext, information: TrainingInformation) -> Selection:
         """What a round keeps and splits, given what the training views know."""
@@ -89,6 +114,22 @@ class RoundsCapacity(PullCapacity):
         for name, count in (("pruned", int((~keep).sum())), ("split", n_split)):
             ctx.log(name, count)
         return edits, self.unmeasured(int(keep.sum()) + n_split)
+
+    def within(self, ctx: StepContext, chosen: Selection, energy: Tensor) -> Selection:
+        """`chosen` with as many Gaussians fewer as brings their number to the limit at `until` in
+        equal ratios; those of the least energy [N] go."""
+        import torch
+
+        limit, n_kept = self.limit(ctx), int(chosen.keep.sum())
+        total = n_kept + chosen.n_split
+        if limit is None or total <= limit:
+            return chosen
+        wanted = round(total * (limit / total) ** (1 / max(1, self.rounds_left(ctx))))
+        n_kept = math.ceil(n_kept * wanted / total)
+        order = energy.masked_fill(~chosen.keep, -1).argsort(descending=True, stable=True)
+        keep = torch.zeros_like(chosen.keep)
+        keep[order[:n_kept]] = True
+        return replace(chosen, keep=keep, n_split=wanted - n_kept)
 
     def splits_again(self, ctx: StepContext) -> bool:
         """Whether a round that is to come may split, for which alone the pull is measured."""

@@ -26,7 +26,8 @@ def main(arguments: Sequence[str], prog: str) -> int:
         type=Path,
         nargs="+",
         metavar="RUN",
-        help="folder of a run, as reports/STUDY/runs/RUN, or of a study with one; two are compared",
+        help="folder of a run, as reports/STUDY/runs/RUN, or of a study with one, or a file"
+        " RUN/export/scene.spz; two are compared",
     )
     parser.add_argument(
         "--static",
@@ -51,9 +52,13 @@ def main(arguments: Sequence[str], prog: str) -> int:
     )
     require(0 <= options.port <= 65535, f"--port: expected 0 to 65535, got {options.port}")
     target = None if options.static is None else _target(options.static, options.runs)
-    from framework.view import check_together, find_run, read_viewed, view_page
+    from framework.records.spz import SUFFIX
+    from framework.view import check_together, find_run, read_exported, read_viewed, view_page
 
-    runs = [read_viewed(find_run(path)) for path in options.runs]
+    runs = [
+        read_exported(path) if path.suffix == SUFFIX else read_viewed(find_run(path))
+        for path in options.runs
+    ]
     check_together(runs)
     page = view_page(runs, not options.without_photos)
     if options.static is None:

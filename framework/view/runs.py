@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from framework.records.photos import photo_files
 from framework.records.ply import Splats, read_splats
 from framework.records.record import PLY, RECORD, RunRecord, read_run
 from framework.records.run_files import RENDERS
+from framework.records.spz import read_spz
 from framework.view.cameras import RunCamera, read_cameras
 
 FEW = 6  # runs that a message names
@@ -104,6 +105,27 @@ def read_viewed(folder: Path) -> ViewedRun:
         for view, value in zip(texts["view"], values, strict=True)
     }
     return ViewedRun(folder, record, splats, cameras, near, photos, psnr)
+
+
+def read_exported(file: Path) -> ViewedRun:
+    """Read an SPZ file in the export folder of a run, with the cameras beside it.
+
+    The test PSNR of the run is left out, as it is not that of the file.
+
+    Raises:
+        UserError: as `read_viewed`, and for a damaged file or one of no run.
+    """
+    folder = file.absolute().parent
+    require(
+        is_file(folder.parent / RECORD),
+        f"{file}: expected a file that fishersplat export wrote to the folder of a run, got one"
+        f" without {RECORD} in {folder.parent}",
+    )
+    run = read_viewed(folder.parent)
+    splats = replace(read_spz(file), background=run.splats.background)
+    cameras, near = read_cameras(folder)
+    record = replace(run.record, summary={})
+    return ViewedRun(folder, record, splats, cameras, near, run.photos, {})
 
 
 def check_together(runs: Sequence[ViewedRun]) -> None:

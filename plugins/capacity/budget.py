@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from framework.errors import require
 from framework.plugin import StepContext, register
 from framework.toolbox.rounds import RoundsCapacity, Selection, TrainingInformation
 
@@ -29,7 +28,8 @@ class Budget(RoundsCapacity):
     """Options of `capacity=budget`.
 
     Attributes:
-        gaussians: the number from `until` on; members (`trainer.members`) share it.
+        gaussians: the number from `until` on; members (`trainer.members`) share it. With `bytes`
+            it is the number that fits instead.
     """
 
     gaussians: int = 5000
@@ -39,16 +39,11 @@ class Budget(RoundsCapacity):
         self.check("gaussians", self.gaussians >= 1, "an integer >= 1")
 
     def shared(self, members: int) -> Budget:
-        return replace(self, gaussians=max(1, self.gaussians // members))
+        return replace(super().shared(members), gaussians=max(1, self.gaussians // members))
 
     def check_span(self, start: float, stop: float) -> None:
         super().check_span(start, stop)
-        last = math.floor(self.until / self.every + 1e-9) * self.every
-        require(
-            start < last,
-            "capacity=budget: expected a round after start and up to until, or the number is never"
-            f" brought to the budget, got start={start}, every={self.every}, until={self.until}",
-        )
+        self.check_limited(start)
 
     def selected(self, ctx: StepContext, information: TrainingInformation) -> Selection:
         import torch
@@ -56,7 +51,7 @@ class Budget(RoundsCapacity):
         from framework.fisher.scores import removal_energy
 
         n = len(ctx.gaussians)
-        wanted = self._wanted(n, self.rounds_left(ctx))
+        wanted = self._wanted(n, self.rounds_left(ctx), self.limit(ctx) or self.gaussians)
         grow = self.grow * self.settled(ctx) ** 2 if self.growing(ctx) else 0.0
         n_kept = min(n, math.ceil(wanted / (1 + grow)))
         energy = removal_energy(information.total.diagonal, ctx.gaussians.opacity_logits)
@@ -74,10 +69,10 @@ class Budget(RoundsCapacity):
         until = max(1, math.floor(self.until * ctx.n_steps))
         return every if every >= views else max(every, until // max(1, until // views))
 
-    def _wanted(self, n: int, rounds_left: int) -> int:
+    def _wanted(self, n: int, rounds_left: int, budget: int) -> int:
         """How many there shall be after this round, of `rounds_left` up to `until`."""
-        if n <= self.gaussians:
-            return min(self.gaussians, math.ceil(GROWTH * n))
+        if n <= budget:
+            return min(budget, math.ceil(GROWTH * n))
         if rounds_left <= 1:
-            return self.gaussians
-        return round(n * (self.gaussians / n) ** (1 / rounds_left))
+            return budget
+        return round(n * (budget / n) ** (1 / rounds_left))

@@ -98,8 +98,12 @@ class Evidence(RoundsCapacity):
     def selected(self, ctx: StepContext, information: TrainingInformation) -> Selection:
         import torch
 
+        from framework.fisher.scores import removal_energy
+
         noise, values = self._noise(ctx)
-        gain, cost = self._evidence(ctx.gaussians, information, noise, values)
+        energy = removal_energy(information.total.diagonal, ctx.gaussians.opacity_logits)
+        gain = energy.numpy() / (2 * noise)
+        cost = self._cost(ctx.gaussians, information, noise, values)
         too_costly = gain <= cost
         n, gone = len(gain), removable(gain, cost, self._pace(ctx))
         gone = gone[: max(0, n - FEWEST)]
@@ -113,7 +117,9 @@ class Evidence(RoundsCapacity):
         keep[torch.from_numpy(gone)] = False
         n_kept, n_paid = n - len(gone), n - int(too_costly.sum())
         if self.growing(ctx):
-            return Selection(keep, min(round(self.grow * n_kept), n_paid))
+            splits = min(round(self.grow * n_kept), n_paid)
+            return self.within(ctx, Selection(keep, splits), energy)
+        keep = self.within(ctx, Selection(keep), energy).keep
         bands, sh0 = self._bands(ctx, information, noise, values)
         if bands is not None:
             ctx.log("bands_dropped", float((keep & ~bands)[: len(ctx.gaussians.shN)].sum()))
@@ -134,22 +140,17 @@ class Evidence(RoundsCapacity):
         ctx.log("noise", math.sqrt(noise))
         return noise * channels if self.criterion == "correlated" else noise, values
 
-    def _evidence(
+    def _cost(
         self, gaussians: Gaussians, information: TrainingInformation, noise: float, values: float
-    ) -> tuple[Array, Array]:
-        """Return the gain G and the cost C, each [N] in nats."""
+    ) -> Array:
+        """Return the cost C [N] in nats."""
         import numpy as np
 
-        from framework.fisher.scores import removal_energy
-
-        energy = removal_energy(information.total.diagonal, gaussians.opacity_logits).numpy()
-        if self.criterion == "bic":
-            size = np.full(len(energy), 14.0)
-            size[: len(gaussians.shN)] += 3 * gaussians.shN.shape[1]
-            cost = 0.5 * size * math.log(values)
-        else:
-            cost = description_cost(gaussians, information.total, noise)
-        return energy / (2 * noise), cost
+        if self.criterion != "bic":
+            return description_cost(gaussians, information.total, noise)
+        size = np.full(len(gaussians), 14.0)
+        size[: len(gaussians.shN)] += 3 * gaussians.shN.shape[1]
+        return 0.5 * size * math.log(values)
 
     def _bands(
         self, ctx: StepContext, information: TrainingInformation, noise: float, values: float

@@ -17,10 +17,12 @@ from framework.depth.providers import DepthFile
 from framework.depth.read import load_map
 from framework.errors import UserError
 from framework.exports import export, render, video
+from framework.exports.formats import packed
 from framework.files.opened import read_bytes
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply, write_ply
 from framework.records.record import read_run, write_failed
+from framework.records.spz import read_spz
 from framework.report.build import build_report
 from framework.scenes.images import read_image
 from framework.train.resume.checkpoint import pack, unpack
@@ -200,6 +202,11 @@ READERS: dict[str, Reader] = {
         lambda f: write_ply(f / "a.ply", make_gaussians(6, 1), torch.rand(3)),
         ("a.ply",),
         lambda f: read_ply(f / "a.ply"),
+    ),
+    "spz": Reader(
+        lambda f: (f / "a.spz").write_bytes(packed(make_gaussians(6, 1), torch.zeros(3), "spz")),
+        ("a.spz",),
+        lambda f: read_spz(f / "a.spz"),
     ),
     "splat ply of two degrees": Reader(
         lambda f: write_ply(f / "a.ply", _two_degrees(), torch.rand(3)),

@@ -71,6 +71,7 @@ def _run(folder: Path, one: Row) -> Run:
         timings={"train": seconds},
         provenance={"cpu": cpu, "cores": int(cores.split()[0])},
         gaussians=int(str(one["gaussians"])),
+        ply_bytes=int(str(one.get("ply_bytes", 0))),
         parameters_sha256=hashlib.sha256(str(one["run"]).encode()).hexdigest(),
         summary={
             key: float(str(one[key])) if one.get(key, "") != "" else Missing("not measured")

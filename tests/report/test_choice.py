@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from framework.report.costs import entries, paying, train_s
+from framework.report import build_report
+from framework.report.costs import cheapest, entries, paying, train_s
 from framework.report.findings import contests
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
@@ -51,6 +52,40 @@ def test_more_time_pays_is_corrected_for_all_others(tmp_path: Path) -> None:
         assert [actual[k].method.label for k in kept] == ["none + none", "safi + none"][
             : len(indices)
         ]
+
+
+def test_the_smallest_file_and_the_least_time_that_are_as_good_are_named(tmp_path: Path) -> None:
+    """Half the file costs 0.05 dB, a tenth costs 2 dB; the baseline takes the least time."""
+    jitter = (0.1, -0.1, 0.0, 0.1, -0.1)  # so that a twentieth dB is no significant difference
+    rows = [
+        row(
+            "a",
+            method,
+            k,
+            f"{psnr + (jitter[k] if 'safi' in method else 0)}",
+            ply_bytes=size,
+            train_wall_s=seconds,
+            train_cpu_s=seconds,
+        )
+        for k in range(5)
+        for method, psnr, size, seconds in (
+            ("none + none", 20.0, 10_000_000, 5),
+            ("safi + none", 20.05, 10_000_000, 20),
+            ("dba + none", 20.0, 5_000_000, 20),
+            ("none + uar", 18.0, 1_000_000, 1),
+        )
+    ]
+    study = collect(table(tmp_path / "t", rows))
+    result = cheapest(study, "a")
+    assert result is not None and result.smallest is not None and result.quickest is not None
+    assert result.best.method.label == "safi + none"
+    as_good = {m: k for m, k in (("smallest", result.smallest), ("quickest", result.quickest))}
+    assert {m: entry.method.label for m, entry in as_good.items()} == {
+        "smallest": "dba + none",
+        "quickest": "none + none",
+    }
+    text = build_report(tmp_path / "t", out_dir=tmp_path / "out").read_text(encoding="utf-8")
+    assert re.search(r"smallest file: DBA .*5\.00 MB.*least time: Baseline .*5\.0 s", text)
 
 
 def test_the_best_is_chosen_by_pairs(tmp_path: Path) -> None:

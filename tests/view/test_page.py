@@ -19,8 +19,9 @@ import pytest
 
 from framework.command.config.schema import ROOT
 from framework.errors import UserError
+from framework.exports.export import main as export
 from framework.records.ply import read_splats, write_ply
-from framework.view import check_together, read_viewed, view_page
+from framework.view import check_together, read_exported, read_viewed, view_page
 from framework.view.main import main
 from framework.view.pack import packed
 from tests.view.runs import NEAR, scene_gaussians, seen_run, views
@@ -204,3 +205,19 @@ def test_it_writes_a_file_without_torch(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "view.html" in done.stdout and "[]" in done.stdout
     assert (run / "view.html").read_text(encoding="utf-8") == view_page([read_viewed(run)])
+
+
+def test_it_shows_an_exported_file(tmp_path: Path) -> None:
+    run = seen_run(tmp_path)
+    assert export([str(run), "--compact", "--frame", "scene"], "export") == 0
+    file = run / "export" / "scene.spz"
+    exported, stored = read_exported(file), read_viewed(run)
+    check_together([stored, exported])
+    assert "12 Gaussians" in view_page([stored, exported])
+    near = np.abs(exported.splats.means[:, None] - stored.splats.means[None]).sum(2).min(1)
+    assert near.max() < 0.2 and exported.splats.background == stored.splats.background
+    assert main([str(file), "--static"], "view") == 0 and (run / "export" / "view.html").is_file()
+    other = tmp_path / "scene.spz"
+    other.write_bytes(file.read_bytes())
+    with pytest.raises(UserError, match=r"without record\.json"):
+        main([str(other), "--static"], "view")
