@@ -1,13 +1,14 @@
 """The entry point: `python run.py +augment=safi +reg=uar seed=0,1,2 -m`; `--help` tells more."""
 
 import sys
-from importlib.util import find_spec
 
 NEEDED = "torch", "numba", "hydra", "omegaconf", "cv2", "scipy", "pandas", "matplotlib"
 
 
 def check_python() -> None:
     """End in one line where this Python cannot run the project, before a traceback says so."""
+    from importlib.util import find_spec  # here Ctrl-C is caught
+
     lacking = "" if sys.version_info >= (3, 11) else "Python 3.11 or newer"
     lacking = lacking or ", ".join(name for name in NEEDED if find_spec(name) is None)
     if lacking:

@@ -163,11 +163,12 @@ def _shown(word: str) -> str:
 def _job(hydra: Any, config: dict[str, Any]) -> Job:
     """The run of a composed configuration; `hydra` is Hydra's part of it."""
     overrides = [str(override) for override in hydra.overrides.task]
-    method = "+".join(str(hydra.runtime.choices.get(group)) for group in ("augment", "reg"))
-    pair = "_".join(part for part in method.split("+") if part != "none") or "baseline"
+    choices = (str(hydra.runtime.choices.get(group)) for group in ("augment", "reg"))
+    plugins = [name for name in choices if name != "none"] or ["baseline"]
+    pair = "_".join(plugins)
     words = [word.lstrip("+") for word in varied(overrides)]
     besides = [_shown(w) for w in words if not w.startswith(IN_ALL_LINES) and w != f"method={pair}"]
-    label = " ".join([method, *besides, f"seed {config['seed']}"])
+    label = " ".join(["+".join(plugins), *besides, f"seed {config['seed']}"])
     number = 0 if OmegaConf.is_missing(hydra.job, "num") else int(hydra.job.num)
     total = job_count()
     if total != 1:

@@ -63,7 +63,7 @@ def composing() -> Iterator[None]:
 
 def one_line(error: BaseException) -> str:
     """The message of a user's error in one line, from its most specific cause."""
-    chain = list(_causes(error))
+    chain = _causes(error)
     for cause in chain:
         if isinstance(cause, UserError):
             return printable_line(str(cause))
@@ -108,12 +108,18 @@ def _of_several(group: str, key: str, words: Sequence[str]) -> str:
     return f"{group}.{key}: unknown option of {group}; {advice}"
 
 
-def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    """`error` and its causes, the original first. OmegaConf hides causes (`from None`), so contexts
-    are followed too."""
-    if error is not None:
-        yield from _causes(error.__cause__ or error.__context__)
-        yield error
+def _causes(error: BaseException) -> list[BaseException]:
+    """Return `error` and its causes, the original first.
+
+    OmegaConf hides causes (`from None`), so contexts are followed too. With OC_CAUSE=1 or under a
+    debugger it links causes into a cycle, hence the check for repetition.
+    """
+    chain: list[BaseException] = []
+    cause: BaseException | None = error
+    while cause is not None and cause not in chain:
+        chain.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    return chain[::-1]
 
 
 def _reworded(error: BaseException) -> str | None:

@@ -1,37 +1,42 @@
-"""The program: `fishersplat ...` or `python run.py ...`, from its arguments to the exit code."""
+"""The program: `fishersplat ...` or `python run.py ...`, from its arguments to the exit code.
 
-from __future__ import annotations
+Modules are imported where Ctrl-C is caught, so that it never prints a traceback.
+"""
 
 import gc
 import sys
-from collections.abc import Sequence
-from typing import NoReturn
-
-from framework.command.program import CONSOLE, SCRIPT, set_program
-from framework.command.streams import make_safe
-from framework.errors import memory_line
-from framework.files.limits import check_address_space
 
 
-def main() -> NoReturn:
+def main() -> None:
     """The console command `fishersplat`."""
-    command(sys.argv[1:], CONSOLE)
+    command(sys.argv[1:], "fishersplat")
 
 
-def command(argv: Sequence[str], name: str = SCRIPT) -> NoReturn:
+def command(argv: list[str], name: str = "python run.py") -> None:
     """Run the command line `argv` of the program `name` and end this process."""
+    try:
+        code = _run(argv, name)
+    except KeyboardInterrupt:
+        print("error: interrupted", file=sys.stderr)
+        code = 130
+    gc.freeze()  # freeing torch's objects one by one takes 0.7 s
+    sys.exit(code)
+
+
+def _run(argv: list[str], name: str) -> int:
+    """Return the exit code of a command line."""
+    from framework.command.program import set_program
+    from framework.command.streams import make_safe
+    from framework.errors import memory_line
+    from framework.files.limits import check_address_space
+
     set_program(name)
     make_safe()
     try:
         check_address_space()
     except MemoryError as error:
         print(f"error: {memory_line(error)}", file=sys.stderr)
-        sys.exit(2)
-    try:
-        from framework.command.cli import main  # imports Hydra, but not torch
-    except KeyboardInterrupt:
-        print("error: interrupted", file=sys.stderr)
-        sys.exit(130)
-    code = main(argv)
-    gc.freeze()  # freeing torch's objects one by one takes 0.7 s
-    sys.exit(code)
+        return 2
+    from framework.command.cli import main  # imports Hydra, but not torch
+
+    return main(argv)

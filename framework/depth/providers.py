@@ -147,8 +147,10 @@ class _Learned(IterMvsOptions):
         require_weights(self.weights)
 
     def learned_weights(self) -> str:
-        """Return the network and its training data."""
-        return f"IterMVS, {self.weights}"
+        """Return the network, its training data and the checkpoint's hash."""
+        from framework.depth.itermvs.weights import SHA256
+
+        return f"IterMVS, {self.weights} (sha256 {SHA256[self.weights][:12]})"
 
     def fingerprint(self, training: TrainingSet) -> str:
         """Return the SHA-256 of the published checkpoint."""

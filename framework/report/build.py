@@ -30,6 +30,7 @@ from framework.report.provenance import provenance
 from framework.report.render import Page, render, render_page, say
 from framework.report.study import notes
 from framework.report.study.collect import collect, run_dirs
+from framework.report.study.methods import learned_footnote
 from framework.report.study.published import bibtex
 from framework.report.study.study import Study
 from framework.report.study.words import outside
@@ -163,6 +164,7 @@ def _context(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "findings": findings,
         "tables": tables,
         "notes": notes,
+        "learned_footnote": learned_footnote,
         "largest_effect": largest_effect,
         "capacity_text": tables.capacity_text,
         "cost_of": cost_of,

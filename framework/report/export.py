@@ -18,7 +18,7 @@ from framework.records.run_files import Table
 from framework.report.provenance import code_of
 from framework.report.render import tex
 from framework.report.study.axes import VIEWS
-from framework.report.study.methods import Method
+from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.plugins import with_defaults
 from framework.report.study.study import FailedRun, ReportRun, Study
 from framework.report.study.words import flatten, outside
@@ -114,10 +114,11 @@ def _plain(value: object) -> object:
 def results_files(results: Results) -> dict[str, str]:
     """Name -> content of the table of results in three forms."""
     metrics = list(next(iter(results.values())))
-    latex = tex("results.tex.jinja", results=results, metrics=metrics, heading_of=heading_of)
+    footnote = learned_footnote(results)
+    context = {"results": results, "metrics": metrics, "footnote": footnote}
     return {
-        f"{RESULTS}.tex": latex,
-        f"{RESULTS}.md": results_markdown(results) + "\n",
+        f"{RESULTS}.tex": tex("results.tex.jinja", **context, heading_of=heading_of),
+        f"{RESULTS}.md": f"{results_markdown(results)}\n\n{footnote}".strip() + "\n",
         f"{RESULTS}.csv": _results_csv(results, metrics),
     }
 

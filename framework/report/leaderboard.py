@@ -38,7 +38,7 @@ from framework.report.statistics.numbers import (
 )
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.collect import collect, holds_run, walked
-from framework.report.study.methods import Method
+from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.study import Study
 from framework.report.study.words import natural, outside
 from framework.report.tables import Link
@@ -76,6 +76,11 @@ class Match:
     @property
     def family(self) -> Method:
         return self.comparison.method.family
+
+    @property
+    def league(self) -> tuple[Method, str]:
+        """The family and its learned weights, which are never pooled with runs without them."""
+        return self.family, self.family.learned
 
     @property
     def ranked(self) -> bool:
@@ -116,6 +121,7 @@ def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int
         "studies": [_study_row(entry, out_dir) for entry in entries],
         "broken": [{"Study": name, "Why": why} for name, why in sorted(broken.items())],
         "rows": [_row(match) for match in matches],
+        "footnote": learned_footnote(_methods(entries)),
     }
     page = Page("Leaderboard", out_dir, families, (), {})
     content = render_page("leaderboard.jinja", page, **context)
@@ -183,22 +189,33 @@ def _n_scenes(study: Study, scenes: Sequence[str]) -> str:
     return str(len({study.name_of(scene) for scene in scenes}))
 
 
+def _methods(entries: Sequence[Entry]) -> list[Method]:
+    return [method for entry in entries for method in entry.study.methods]
+
+
+def _leagues(matches: Sequence[Match]) -> list[tuple[Method, str]]:
+    """The distinct families by learned weights, in the order of reports."""
+    leagues = {match.league for match in matches}
+    return sorted(leagues, key=lambda league: (league[0].order, league[1]))
+
+
 def _counts(matches: Sequence[Match], sign: int) -> list[tuple[Method, int]]:
-    families = [match.family for match in matches if match.sign == sign]
-    return [(f, families.count(f)) for f in sorted(set(families), key=lambda m: m.order)]
+    of_sign = [match for match in matches if match.sign == sign]
+    leagues = [match.league for match in of_sign]
+    return [(league[0], leagues.count(league)) for league in _leagues(of_sign)]
 
 
 def _ranks(matches: Sequence[Match]) -> list[Cells]:
     """One row per method, sorted by wins minus losses, then by the mean difference."""
     rows = []
-    for family in sorted({match.family for match in matches}, key=lambda m: m.order):
-        of_family = [match for match in matches if match.family == family]
+    for league in _leagues(matches):
+        of_family = [match for match in matches if match.league == league]
         signs = [match.sign for match in of_family]
         differences = [match.comparison.difference for match in of_family]
         mean = sum(differences) / len(of_family)
         ends = [format_difference(end) for end in (min(differences), max(differences))]
         row: Cells = {
-            "Method": family,
+            "Method": league[0],
             "Studies": str(len({match.entry.name for match in of_family})),
             "Comparisons": str(len(of_family)),
             "Better": str(signs.count(1)),

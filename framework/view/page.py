@@ -61,7 +61,8 @@ def labels(runs: Sequence[ViewedRun]) -> list[str]:
     differing = [key for key in SETTINGS if len({m.get(key) for m in methods}) > 1]
     named = []
     for run, method in zip(runs, methods, strict=True):
-        parts = [f"{method.get('augment', 'none')} + {method.get('reg', 'none')}"]
+        plugins = [method.get(group, "none") for group in ("augment", "reg")]
+        parts = [" + ".join(name for name in plugins if name != "none") or "baseline"]
         parts += [f"{key} {method.get(key, 'none')}" for key in differing]
         named.append(" · ".join([*parts, f"seed {run.record.seed}"]))
     if len(set(named)) < len(named):

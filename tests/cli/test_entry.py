@@ -63,3 +63,19 @@ def test_a_terminal_that_lacks_our_letters_gets_others(monkeypatch: pytest.Monke
         command(["--version"])
     print("22.3 dB · 4 s", flush=True)  # as progress has it
     assert written.getvalue().endswith(b"22.3 dB \\xb7 4 s\n")
+
+
+def test_ctrl_c_while_modules_are_imported_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupting:
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "framework.command.program":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "framework.command.program")
+    monkeypatch.setattr(sys, "meta_path", [Interrupting(), *sys.meta_path])
+    with pytest.raises(SystemExit) as ended:
+        command(["--version"])
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "error: interrupted\n"

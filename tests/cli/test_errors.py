@@ -125,9 +125,14 @@ def test_the_traceback_of_a_run_is_there_for_the_asking(
     assert message.splitlines()[-1] == "error: scene: no images"
 
 
+@pytest.mark.parametrize("links", ["0", "1"])
 def test_an_experiment_cannot_half_configure_another_choice(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+    runs: FakeRuns,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    links: str,
 ) -> None:
+    monkeypatch.setenv("OC_CAUSE", links)  # 1: causes form a cycle, as under a debugger
     folder = Path("own/experiment")
     folder.mkdir(parents=True)
     text = "# @package _global_\ndefaults:\n  - override /augment: safi\naugment:\n  eta: 1.4\n"

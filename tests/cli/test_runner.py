@@ -63,7 +63,7 @@ def test_a_run_and_its_report(tmp_path: Path) -> None:
     assert (process.returncode, err) == (0, "")
     assert out.splitlines() == [
         f"run by {process.pid} 3 ['seed=3']",
-        "none+none seed 3 · finished",
+        "baseline seed 3 · finished",
         f"report by {process.pid}",
         "report: reports/embedded/report.md",
     ]

@@ -39,17 +39,34 @@ def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:
     assert bases["safi + none"] == bases["none + none, init=sparse"] == "none + none"
 
 
+def _use_learned_weights(run_dir: Path) -> None:
+    record = json.loads((run_dir / "record.json").read_text(encoding="utf-8"))
+    record["provenance"]["learned_weights"] = "IterMVS, dtu"
+    (run_dir / "record.json").write_text(json.dumps(record), encoding="utf-8")
+
+
 def test_learned_weights_are_a_separate_league(tmp_path: Path) -> None:
     runs = [fake_run(tmp_path, reg=reg, seed=0) for reg in ("none", "uar")]
     assert "separate league" not in first_screen(tmp_path)
     for run_dir in runs:
-        record = json.loads((run_dir / "record.json").read_text(encoding="utf-8"))
-        record["provenance"]["learned_weights"] = "IterMVS, dtu"
-        (run_dir / "record.json").write_text(json.dumps(record), encoding="utf-8")
-        named = "every method" if run_dir == runs[-1] else "Baseline"
+        _use_learned_weights(run_dir)
+        named = "every method" if run_dir == runs[-1] else "Baseline †"
         text = first_screen(tmp_path)
         assert f"Depth of {named} comes from a network that was trained on other scenes" in text
-        assert "(IterMVS, dtu): a separate league" in text
+        assert "(marked †): IterMVS, dtu. This is a separate league" in text
+
+
+def test_learned_weights_are_marked_in_the_results(tmp_path: Path) -> None:
+    for reg in ("none", "uar"):
+        run_dir = fake_run(tmp_path, reg=reg, seed=0)
+    _use_learned_weights(run_dir)
+    build_report(tmp_path)
+    for name, mark in (("results.md", "†"), ("results.tex", r"$\dagger$"), ("report.md", "†")):
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        assert f"UAR {mark}" in text and f"Baseline {mark}" not in text
+        assert f"{mark} uses learned weights: IterMVS, dtu." in text
+    study = collect(tmp_path)
+    assert study.methods[1].is_called("uar") and study.methods[1].is_called("UAR")
 
 
 def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 import shutil
 from pathlib import Path
@@ -59,3 +60,18 @@ def test_searches_are_no_studies(tmp_path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert studies == 0 and "the trials of a search" in text
     assert "evaluated on training photos (scene.split=llff_held_out)" in text
+
+
+def test_learned_weights_have_their_own_row(tmp_path: Path) -> None:
+    for study, weights in (("one", ""), ("two", "IterMVS, dtu")):
+        _study(tmp_path / study, {"none": 0.0, "safi": 3.0})
+        for file in (tmp_path / study / "runs").glob("*/record.json"):
+            record = json.loads(file.read_text(encoding="utf-8"))
+            record["provenance"]["learned_weights"] = weights
+            file.write_text(json.dumps(record), encoding="utf-8")
+    path, *_ = leaderboard(tmp_path, tmp_path)
+    text = path.read_text(encoding="utf-8")
+    assert "better than the baseline: SAFI (1), SAFI † (1);" in text
+    assert "† uses learned weights: IterMVS, dtu." in text
+    rows = re.findall(r"^\| (SAFI(?: †)?) +\| +1 \| +1 \|", text, re.MULTILINE)
+    assert sorted(rows) == ["SAFI", "SAFI †"]

@@ -167,7 +167,7 @@ def test_two_runs_are_told_apart_and_share_cameras(tmp_path: Path) -> None:
     check_together(runs)
     data = data_of(view_page(runs))
     labels = [run["label"] for run in data["runs"]]
-    assert labels == ["none + none · seed 0", "safi + none · seed 0"]
+    assert labels == ["baseline · seed 0", "safi · seed 0"]
     assert len(data["cameras"][0]["psnr"]) == 2 and len(data["cameras"]) == 5
     twice = [runs[0], runs[0]]
     labels = [run["label"] for run in data_of(view_page(twice))["runs"]]

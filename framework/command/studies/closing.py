@@ -1,24 +1,33 @@
-"""What a study leaves on the screen: the verdict of its report, then where that is."""
+"""The last lines of a study: the verdict of its report, then where to look."""
 
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 
+from framework.command.program import program
 from framework.errors import printable_line
+from framework.records import RUN_FOLDERS
+from framework.records.record import RECORD
 
 SHOWN = 12  # lines of a verdict; the report has the rest
 
 
 def closing(report: Path) -> list[str]:
-    """The lines for `report`, a `report.md` beside its page: the bold sentence that opens it and
-    the list below, as plain text; none where it has no verdict."""
+    """Return the last lines of a study with this `report.md`.
+
+    They are the verdict as plain text, how to view the run if there is only one, and the paths.
+    """
     lines = _verdict(report.read_text(encoding="utf-8").splitlines() if report.is_file() else [])
     if len(lines) > SHOWN:
         lines = [*lines[: SHOWN - 1], f"- ... and {len(lines) - SHOWN + 1} more in the report"]
     page = report.with_suffix(".html")
     if lines:
         lines = ["", *(printable_line(line) for line in lines), ""]
+    if len(list(report.parent.glob(f"{RUN_FOLDERS}/*/{RECORD}"))) == 1:
+        folder = shlex.quote(str(short_path(report.parent)))
+        lines.append(printable_line(f"view: {program()} view {folder}"))
     if page.is_file():
         lines.append(printable_line(f"page: {short_path(page)}"))
     return [*lines, printable_line(f"report: {short_path(report)}")]

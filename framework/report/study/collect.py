@@ -15,12 +15,12 @@ from framework.metrics.values import Missing
 from framework.records import RUN_FOLDERS
 from framework.records.archive import has_archive, read_archive
 from framework.records.failure import FAILED, read_failure
-from framework.records.record import RECORD, Run, read_run
+from framework.records.record import LEARNED, RECORD, Run, read_run
 from framework.records.search import read_search
 from framework.report.study.methods import Method, Naming, name_methods
 from framework.report.study.scenes import scene_labels
 from framework.report.study.study import DAMAGED, FailedRun, ReportRun, Study
-from framework.report.study.words import code, natural
+from framework.report.study.words import code, natural, outside
 
 DEPTH = 12  # folders between a study and its runs; links are not followed
 
@@ -168,6 +168,10 @@ def _label(
     scenes = scene_labels(configs, [run.record.scene for run in runs] + [None] * len(readable))
     naming = name_methods(configs, overrides, [scene.full for scene in scenes])
     cut = len(runs)
+    learned = [str(run.record.provenance.get(LEARNED) or "") for run in runs]
+    weights = {m: outside(w) for m, w in zip(naming.methods, learned, strict=False) if w}
+    methods = [replace(method, learned=weights.get(method, "")) for method in naming.methods]
+    naming = replace(naming, methods=methods)
     parts = zip(runs, naming.methods[:cut], scenes[:cut], strict=True)
     labels = {
         run.run_dir: (method, scene.full)

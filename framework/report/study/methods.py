@@ -10,8 +10,8 @@ seed, options that follow it (`depth.corruption_seed=${seed}`), the scene, the s
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,6 +24,7 @@ from framework.report.study.words import Flat, flatten, natural, value_text
 
 Option = tuple[str, str]  # name and value, as shown
 BASELINE = "none + none"
+LEARNED_MARK = "†"  # after the name of a method that used learned weights
 NAMED = ("augment", "reg")
 WITH_STEPS = (  # what presets set together with the steps
     *("trainer.coarse_factor", "trainer.coarse_until"),
@@ -55,6 +56,7 @@ class Method:
         options: other options that differ between the runs.
         limits: steps and other limits; together with `capacity` the budget.
         capacity: the capacity plugin with its options that differ.
+        learned: weights of a network trained on other scenes that its runs used; else "".
     """
 
     augment: str = "none"
@@ -63,10 +65,11 @@ class Method:
     options: tuple[Option, ...] = ()
     limits: tuple[Option, ...] = ()
     capacity: tuple[Option, ...] = ()
+    learned: str = field(default="", compare=False)  # follows from the configuration
 
     @cached_property
     def pair(self) -> Method:
-        return Method(self.augment, self.reg, self.recipe)
+        return Method(self.augment, self.reg, self.recipe, learned=self.learned)
 
     @cached_property
     def family(self) -> Method:
@@ -88,7 +91,11 @@ class Method:
 
     @cached_property
     def name(self) -> str:
-        """The display name, as `UAR, steps=300`."""
+        """The display name, as `UAR, steps=300`, with a mark if weights were learned."""
+        return f"{self._unmarked_name} {LEARNED_MARK}" if self.learned else self._unmarked_name
+
+    @cached_property
+    def _unmarked_name(self) -> str:
         plugins = [title(g, n) for g, n in self.plugins.items()]
         return self._with_options(recipe_title(self.recipe) or " + ".join(plugins) or "Baseline")
 
@@ -114,7 +121,7 @@ class Method:
     def is_called(self, text: str) -> bool:
         """Whether `text` is the label, display name or plugins (`uar`); ignores case and spaces."""
         head = self.recipe or "+".join(self.plugins.values()) or PLAIN_RECIPE
-        names = {self.label, self.name, self._with_options(head)}
+        names = {self.label, self.name, self._unmarked_name, self._with_options(head)}
         return _squeezed(text) in {*map(_squeezed, names), *self._underscored(head)}
 
     def _underscored(self, head: str) -> set[str]:
@@ -122,6 +129,12 @@ class Method:
 
 
 PLAIN = Method()
+
+
+def learned_footnote(methods: Iterable[Method]) -> str:
+    """The footnote of a table of methods that explains the mark; "" if none has it."""
+    weights = sorted({method.learned for method in methods if method.learned})
+    return f"{LEARNED_MARK} uses learned weights: {'; '.join(weights)}." if weights else ""
 
 
 def _squeezed(text: str) -> str:
