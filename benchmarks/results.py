@@ -32,7 +32,12 @@ REPORTS, COMMITTED = ROOT / "reports", ROOT / "reports" / "committed"
 PREFIX = "results_"  # of a study's folder while its runs are there
 KEPT = ("report.md", "runs.jsonl")
 PICTURES = 5  # of a committed study at most
-PARALLEL = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "threads=1")
+OPTIONS = (
+    "hydra/launcher=joblib",
+    "hydra.launcher.n_jobs=2",
+    "threads=1",
+    "metrics.lpips_both=true",
+)
 COLUMNS = {"psnr": "PSNR ↑", "ssim": "SSIM ↑", "lpips_01": "LPIPS ↓"}
 MEASURES = {"train_cpu_s": "CPU seconds", "gaussians": "Gaussians"}
 
@@ -75,7 +80,7 @@ def run_studies(
     failed = 0
     for name, study in studies.items():
         for words in commands_of(canon, name, study, data):
-            more = ["estimate=only"] if estimate else ["estimate=false", *PARALLEL]
+            more = ["estimate=only"] if estimate else ["estimate=false", *OPTIONS]
             start = time.monotonic()
             code = subprocess.call([sys.executable, "run.py", *words, *more, "-m"], cwd=ROOT)
             failed += code != 0
