@@ -25,7 +25,7 @@ _F = np.float32
 
 
 @kernel
-def count_agreement(block, n_blocks, depth, other, A, t, tolerance, count):  # type: ignore[no-untyped-def]
+def count_agreement(block, n_blocks, depth, other, A, t, tolerance, count):
     """Kernel over rows: count[y, x] += 1 where `other` [h, w] confirms `depth` [H, W], both
     float32, 0 = unknown. A [3, 3], t [3] float32. count [H, W] int32."""
     height, width = depth.shape

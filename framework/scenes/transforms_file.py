@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from framework.compute import portable
+from framework.compute.elementary import product, sinc_cosine
 from framework.errors import UserError, require
 from framework.files.documents import read_json
 from framework.files.limits import PHOTO_PIXELS, TEXT_BYTES
@@ -95,7 +95,7 @@ class Frame:
             0 < view < math.pi,
             f"{self.where}: expected {angle} in (0, pi) radians, got {view}; correct it",
         )
-        sinc, cosine = portable.sinc_cosine((view / 2) ** 2)
+        sinc, cosine = sinc_cosine((view / 2) ** 2)
         return size / view * cosine / sinc
 
 
@@ -109,7 +109,7 @@ def read_in_order(path: Path, poses: str = LAYOUT_POSES) -> list[Frame]:
 
     Args:
         path: the file.
-        poses: how it writes poses, see `options.CONVENTIONS`.
+        poses: how it writes poses, see `conventions.CONVENTIONS`.
 
     Raises:
         UserError: a value is invalid.
@@ -327,5 +327,5 @@ def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
     viewmat = np.eye(4)
     viewmat[:3, :3] = (pose[:3, :3] * OPENGL_TO_OPENCV).T
     with np.errstate(over="ignore", invalid="ignore"):  # refused by checked_pose
-        viewmat[:3, 3] = -portable.product(viewmat[:3, :3], pose[:3, 3])
+        viewmat[:3, 3] = -product(viewmat[:3, :3], pose[:3, 3])
     return checked_pose(viewmat, f"{where}: transform_matrix")

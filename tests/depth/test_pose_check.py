@@ -14,8 +14,7 @@ from framework.depth.pose_check import LIMIT, check_poses
 from framework.errors import UserError
 from framework.run import poses
 from framework.scenes.assemble import Tracks
-from framework.scenes.conventions import decoded_as, repaired
-from framework.scenes.options import CONVENTIONS
+from framework.scenes.conventions import CONVENTIONS, decoded_as, repaired
 from framework.scenes.points import depth_bounds
 from framework.types import Camera, TrainingSet
 

@@ -14,7 +14,6 @@ threads than strips, some threads have nothing to do in this phase.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -46,9 +45,7 @@ _LOG2_255, _TILE = f4(math.log2(255)), f4(1 / 16)
 
 
 @kernel
-def depth_order(
-    rows: Any, bound: Any, keys: Any, spare: Any, order: Any, start: Any
-) -> tuple[int, int]:
+def depth_order(rows, bound, keys, spare, order, start):
     """Sort the visible Gaussians (bound > 0) by depth.
 
     Their indices go into order[:n], and the prefix sums of bound in that order into start[:n + 1].
@@ -93,7 +90,7 @@ def depth_order(
 
 
 @inlined
-def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
+def _edge(at, x0, x1, ellipse, sign):
     """Compute the extreme dy of the upper (sign -1) or lower branch of ellipses in some columns.
 
     The columns are x0 ... x1 of dx; the extreme point of the whole branch is at dx = at.
@@ -110,7 +107,7 @@ def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
 
 
 @inlined
-def _reached(gathered: Any, width: int, height: int, columns: Any, reach: Any) -> None:
+def _reached(gathered, width, height, columns, reach):
     """Compute which tiles sixteen ellipses touch.
 
     gathered: their rows, flat [16 16]. columns: out, [2, 16], first and last column of tiles.
@@ -140,22 +137,22 @@ def _reached(gathered: Any, width: int, height: int, columns: Any, reach: Any) -
 
 @kernel
 def count_tiles(
-    block: int,
-    blocks: int,
-    n: int,
-    order: Any,
-    rows: Any,
-    start: Any,
-    width: int,
-    height: int,
-    strips: Any,
-    items: Any,
-    touched: Any,
-    n_parts: Any,
-    histogram: Any,
-    strip_items: Any,
-    strip_parts: Any,
-) -> None:
+    block,
+    blocks,
+    n,
+    order,
+    rows,
+    start,
+    width,
+    height,
+    strips,
+    items,
+    touched,
+    n_parts,
+    histogram,
+    strip_items,
+    strip_parts,
+):
     """List the tiles of the Gaussians order[k], for the k of this block.
 
     items[start[k]...] receives (tile << 9 | 256 where a part begins | last row << 4 | first row).
@@ -204,7 +201,7 @@ def count_tiles(
 
 
 @inlined
-def _places(counts: Any, offsets: Any) -> None:
+def _places(counts, offsets):
     """counts [block, list] becomes every block's first place in each of the lists, which follow one
     another; offsets [lists + 1]: where they begin."""
     place = 0
@@ -219,17 +216,8 @@ def _places(counts: Any, offsets: Any) -> None:
 
 @kernel
 def prefix_tiles(
-    n: int,
-    order: Any,
-    n_parts: Any,
-    first: Any,
-    histogram: Any,
-    offsets: Any,
-    strip_parts: Any,
-    bounds: Any,
-    strip_items: Any,
-    n_slots: Any,
-) -> None:
+    n, order, n_parts, first, histogram, offsets, strip_parts, bounds, strip_items, n_slots
+):
     """Turn counts into first positions.
 
     Args:
@@ -260,21 +248,21 @@ def prefix_tiles(
 
 @kernel
 def fill_tiles(
-    block: int,
-    blocks: int,
-    n: int,
-    order: Any,
-    start: Any,
-    strips: Any,
-    items: Any,
-    touched: Any,
-    first: Any,
-    histogram: Any,
-    strip_items: Any,
-    strip_parts: Any,
-    lists: Any,
-    parts: Any,
-) -> None:
+    block,
+    blocks,
+    n,
+    order,
+    start,
+    strips,
+    items,
+    touched,
+    first,
+    histogram,
+    strip_items,
+    strip_parts,
+    lists,
+    parts,
+):
     """Write this block's items into the tiles' lists [items, 2], and its parts into the strips'
     lists [parts, 2]: which part it is, and its first slot."""
     places, next_slot, next_part = histogram[block], strip_items[block], strip_parts[block]
@@ -303,7 +291,7 @@ def fill_tiles(
 
 
 @inlined
-def gather(strip: int, bounds: Any, parts: Any, count: int, slots: Any, sums: Any) -> None:
+def gather(strip, bounds, parts, count, slots, sums):
     """Sum a strip's slots (flat [count 16]) into its parts (flat [parts 16]), in their order."""
     for k in range(bounds[strip], bounds[strip + 1]):
         end = parts[k + 1, 1] if k + 1 < bounds[strip + 1] else count

@@ -6,7 +6,7 @@ import functools
 from dataclasses import dataclass
 
 from framework.errors import check_option
-from framework.scenes.options import check_n_views
+from framework.scenes.layout import check_n_views
 
 
 @dataclass(frozen=True)

@@ -31,20 +31,20 @@ LIFT = 1e-4  # secondary rays start this far off the surface
 
 
 @njit(**INNER)
-def dot(a, b):  # type: ignore[no-untyped-def]
+def dot(a, b):
     """Inner product of two triples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(**INNER)
-def _mirrored(t):  # type: ignore[no-untyped-def]
+def _mirrored(t):
     """t folded into [0, 1]: tiles that mirror each other have no seams."""
     t = t - 2.0 * math.floor(0.5 * t)
     return 2.0 - t if t > 1.0 else t
 
 
 @njit(**INNER)
-def _texture(texels, start, height, width, u, v):  # type: ignore[no-untyped-def]
+def _texture(texels, start, height, width, u, v):
     """Bilinear lookup, linear RGB."""
     x, y = _mirrored(u) * (width - 1), _mirrored(v) * (height - 1)
     column, row = min(int(x), width - 2), min(int(y), height - 2)
@@ -60,13 +60,13 @@ def _texture(texels, start, height, width, u, v):  # type: ignore[no-untyped-def
 
 
 @njit(**INNER)
-def _contrasted(solids, p, channel, value):  # type: ignore[no-untyped-def]
+def _contrasted(solids, p, channel, value):
     mean = solids[p, MEAN + channel]
     return max(0.0, mean + solids[p, CONTRAST] * (value - mean))
 
 
 @njit(inline="always", **INNER)
-def _albedo(solids, texels, p, u, v):  # type: ignore[no-untyped-def]
+def _albedo(solids, texels, p, u, v):
     r, g, b = solids[p, TINT], solids[p, TINT + 1], solids[p, TINT + 2]
     start = int(solids[p, TEXTURE])
     if start >= 0:
@@ -79,7 +79,7 @@ def _albedo(solids, texels, p, u, v):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _cell(lights, light, k, x):  # type: ignore[no-untyped-def]
+def _cell(lights, light, k, x):
     """Index of the light cell of x along axis k across the rays."""
     i = ACROSS + 3 * k
     along = lights[light, i] * x[0] + lights[light, i + 1] * x[1] + lights[light, i + 2] * x[2]
@@ -87,7 +87,7 @@ def _cell(lights, light, k, x):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always", **INNER)
-def _lit(solids, lights, casters, light, towards, x):  # type: ignore[no-untyped-def]
+def _lit(solids, lights, casters, light, towards, x):
     """False where a caster stands between the point and the light, in direction `towards`."""
     a, b = _cell(lights, light, 0, x), _cell(lights, light, 1, x)
     size, k, lit = casters.shape[1], 0, True
@@ -99,7 +99,7 @@ def _lit(solids, lights, casters, light, towards, x):  # type: ignore[no-untyped
 
 
 @njit(**INNER)
-def _lobe(n, towards, d):  # type: ignore[no-untyped-def]
+def _lobe(n, towards, d):
     """Blinn-Phong: the 32nd power of the cosine between normal and half vector."""
     h = (towards[0] - d[0], towards[1] - d[1], towards[2] - d[2])
     c = max(0.0, dot(n, h)) / math.sqrt(dot(h, h))
@@ -109,7 +109,7 @@ def _lobe(n, towards, d):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def surroundings(d):  # type: ignore[no-untyped-def]
+def surroundings(d):
     """What lies behind the cameras, seen only in mirrors: a dim room with a four-pane window."""
     if d[2] < 0.0:
         x, y = d[0] / -d[2], d[1] / -d[2]
@@ -121,7 +121,7 @@ def surroundings(d):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always", **INNER)
-def shade(solids, texels, lights, casters, light, p, x, d):  # type: ignore[no-untyped-def]
+def shade(solids, texels, lights, casters, light, p, x, d):
     """Linear RGB that leaves solid `p` at point x against the unit direction d, without mirroring;
     the normal, turned towards the viewer; and x lifted off the surface along it."""
     n, u, v = surface(solids, p, x)

@@ -24,7 +24,7 @@ NEAREST = 1e-6  # hits nearer than this (in units of d) are the surface the ray 
 
 
 @njit(**INNER)
-def _slab(o, d, h):  # type: ignore[no-untyped-def]
+def _slab(o, d, h):
     """The interval of t in which a coordinate o + t d lies in [-h, h]."""
     if d == 0.0:
         return (-np.inf, np.inf) if -h <= o <= h else (np.inf, -np.inf)
@@ -33,7 +33,7 @@ def _slab(o, d, h):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _box(o, d, h):  # type: ignore[no-untyped-def]
+def _box(o, d, h):
     enter, leave = _slab(o[0], d[0], h[0])
     a, b = _slab(o[1], d[1], h[1])
     enter, leave = max(enter, a), min(leave, b)
@@ -45,7 +45,7 @@ def _box(o, d, h):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _ellipsoid(o, d, h):  # type: ignore[no-untyped-def]
+def _ellipsoid(o, d, h):
     ox, oy, oz = o[0] / h[0], o[1] / h[1], o[2] / h[2]
     dx, dy, dz = d[0] / h[0], d[1] / h[1], d[2] / h[2]
     a = dx * dx + dy * dy + dz * dz
@@ -60,7 +60,7 @@ def _ellipsoid(o, d, h):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _cylinder(o, d, h):  # type: ignore[no-untyped-def]
+def _cylinder(o, d, h):
     ox, oz, dx, dz = o[0] / h[0], o[2] / h[2], d[0] / h[0], d[2] / h[2]
     best = np.inf
     a = dx * dx + dz * dz
@@ -80,7 +80,7 @@ def _cylinder(o, d, h):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _local(solids, p, x, y, z):  # type: ignore[no-untyped-def]
+def _local(solids, p, x, y, z):
     """World direction to the local axes of solid `p`."""
     return (
         solids[p, AXES] * x + solids[p, AXES + 1] * y + solids[p, AXES + 2] * z,
@@ -90,18 +90,18 @@ def _local(solids, p, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _local_point(solids, p, x):  # type: ignore[no-untyped-def]
+def _local_point(solids, p, x):
     a, b, c = solids[p, CENTER], solids[p, CENTER + 1], solids[p, CENTER + 2]
     return _local(solids, p, x[0] - a, x[1] - b, x[2] - c)
 
 
 @njit(**INNER)
-def _half(solids, p):  # type: ignore[no-untyped-def]
+def _half(solids, p):
     return solids[p, HALF], solids[p, HALF + 1], solids[p, HALF + 2]
 
 
 @njit(**INNER)
-def hit(solids, p, o, d):  # type: ignore[no-untyped-def]
+def hit(solids, p, o, d):
     """t of the nearest hit of the ray (o, d) with solid `p`, inf if it misses."""
     h = _half(solids, p)
     local_o, local_d = _local_point(solids, p, o), _local(solids, p, d[0], d[1], d[2])
@@ -116,13 +116,13 @@ def hit(solids, p, o, d):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _fit(c, h, repeat):  # type: ignore[no-untyped-def]
+def _fit(c, h, repeat):
     """Texture coordinate of the local coordinate c in [-h, h]: [0, 1] over the face, or tiled."""
     return c / repeat if repeat > 0.0 else 0.5 * (c / h + 1.0)
 
 
 @njit(**INNER)
-def _box_surface(q, h, repeat):  # type: ignore[no-untyped-def]
+def _box_surface(q, h, repeat):
     x, y, z = q[0] / h[0], q[1] / h[1], q[2] / h[2]
     if abs(x) >= abs(y) and abs(x) >= abs(z):
         n = (1.0 if x > 0.0 else -1.0, 0.0, 0.0)
@@ -135,7 +135,7 @@ def _box_surface(q, h, repeat):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _cylinder_surface(q, h, repeat):  # type: ignore[no-untyped-def]
+def _cylinder_surface(q, h, repeat):
     x, z = q[0] / h[0], -q[2] / h[2]
     if abs(q[1]) / h[1] > x * x + z * z:
         n = (0.0, 1.0 if q[1] > 0.0 else -1.0, 0.0)
@@ -149,7 +149,7 @@ def _cylinder_surface(q, h, repeat):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def surface(solids, p, x):  # type: ignore[no-untyped-def]
+def surface(solids, p, x):
     """Outward unit normal (world) and texture coordinates of solid `p` at the world point x."""
     h, q = _half(solids, p), _local_point(solids, p, x)
     shape, repeat = solids[p, SHAPE], solids[p, REPEAT]

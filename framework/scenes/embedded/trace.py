@@ -16,7 +16,7 @@ from framework.scenes.embedded.solids import INNER, STRICT, hit
 
 
 @njit(inline="always", **INNER)
-def _first(solids, members, tile, o, d):  # type: ignore[no-untyped-def]
+def _first(solids, members, tile, o, d):
     """The solid of a tile's list that the ray (o, d) meets first and its t; (-1, inf) if none."""
     best, nearest, k = np.inf, np.int64(-1), 0
     while members[tile, k] >= 0:
@@ -29,7 +29,7 @@ def _first(solids, members, tile, o, d):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _reflectance(mirror, n, d):  # type: ignore[no-untyped-def]
+def _reflectance(mirror, n, d):
     """Schlick's approximation, its rise scaled by `mirror` so that 0 reflects nothing."""
     grazing = 1.0 + dot(n, d)
     square = grazing * grazing
@@ -37,7 +37,7 @@ def _reflectance(mirror, n, d):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always", **INNER)
-def _radiance(solids, texels, lights, casters, members, light, o, d, p, t):  # type: ignore[no-untyped-def]
+def _radiance(solids, texels, lights, casters, members, light, o, d, p, t):
     """Linear RGB along the ray (o, d), which meets solid `p` (-1 = none) at t."""
     length = math.sqrt(dot(d, d))
     d, t = (d[0] / length, d[1] / length, d[2] / length), t * length
@@ -61,7 +61,7 @@ def _radiance(solids, texels, lights, casters, members, light, o, d, p, t):  # t
 
 
 @njit(**INNER)
-def _direction(pose, focal, width, height, x, y):  # type: ignore[no-untyped-def]
+def _direction(pose, focal, width, height, x, y):
     """World direction of the ray through pixel position (x, y), with camera z = 1."""
     a, b = (x - 0.5 * width) / focal, (y - 0.5 * height) / focal
     return (
@@ -72,12 +72,12 @@ def _direction(pose, focal, width, height, x, y):  # type: ignore[no-untyped-def
 
 
 @njit(**INNER)
-def _stored(linear):  # type: ignore[no-untyped-def]
+def _stored(linear):
     return np.uint8(math.floor(255.0 * math.sqrt(min(1.0, max(0.0, linear))) + 0.5))
 
 
 @njit(**STRICT)
-def trace_rows(  # type: ignore[no-untyped-def]
+def trace_rows(
     block,
     n_blocks,
     solids,
