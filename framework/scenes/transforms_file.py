@@ -50,6 +50,7 @@ class Frame:
         viewmat: [4, 4] OpenCV world-to-camera.
         values: its intrinsics.
         where: starts a message about it.
+        entry: the frame's object in the file.
         mask: a picture, black where the photo does not count.
     """
 
@@ -58,6 +59,7 @@ class Frame:
     viewmat: NDArray[np.float64]
     values: Mapping[str, float]
     where: str
+    entry: Mapping[str, Any]
     mask: Path | None = None
 
     def photo(self) -> Photo:
@@ -202,7 +204,7 @@ def read_cameras(path: Path) -> list[Frame]:
         values = _merged(common, _values(entry, where))
         mask = _text(entry, "mask_path", where)
         file = None if mask is None else Path(mask)
-        frames.append(Frame(entry["file_path"], path, viewmat, values, where, file))
+        frames.append(Frame(entry["file_path"], path, viewmat, values, where, entry, file))
     return frames
 
 
