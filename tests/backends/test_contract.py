@@ -67,11 +67,11 @@ def test_gradients(rasterizer: Rasterizer, seed: int, degree: int | None) -> Non
     mask = sure(case).float()
 
     def taken(who: Rasterizer) -> tuple[float, dict[str, Tensor], Tensor, Tensor]:
-        target, loss = who.target(photo, mask), 0.0
+        target, loss = who.losses().target(photo, mask, who.device), 0.0
 
         def image_gradient(rgb: object) -> object:
             nonlocal loss
-            loss, gradient = who.loss_gradient(rgb, target, 0.2, 0.7)
+            loss, gradient = who.losses().loss_gradient(rgb, target, 0.2, 0.7)
             return gradient
 
         placed = case.gaussians.to(who.device)
@@ -124,8 +124,8 @@ def test_a_loss_of_all_that_is_rendered(rasterizer: Rasterizer) -> None:
         offset = leaves.means.new_zeros(len(leaves), 2, requires_grad=True)
         at = sure(case).to(who.device)
         seen: Render = who.render(leaves, case.camera, means2d_offset=offset, **how(case))
-        target = who.target(torch.full((3, *at.shape), 0.4), None)
-        term = who.loss(seen.rgb * at, target, 0.2) + (seen.alpha * at).mean()
+        target = who.losses().target(torch.full((3, *at.shape), 0.4), None, who.device)
+        term = who.losses().photometric_loss(seen.rgb * at, target, 0.2) + (seen.alpha * at).mean()
         term = term + 0.1 * (seen.depth * at).square().mean()
         tensors = [t for _, t in leaves.items()]
         return [g.cpu() for g in torch.autograd.grad(term, [*tensors, offset])]
