@@ -1,5 +1,5 @@
-"""The common part of rasterizers whose gradients are autograd's: loss, gradient and Fisher
-information in torch, on any device."""
+"""The common part of rasterizers whose gradients are autograd's: loss and gradient in torch, on any
+device."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from framework.backends.contract import DepthGradient, Rasterizer, RenderGradien
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from framework.fisher.information import FisherInformation
     from framework.types import Camera, Gaussians
 
 
@@ -73,11 +72,6 @@ class ByAutograd(Rasterizer):
         return TakenGradient(
             gaussians, render.radii, dict(zip(tensors, gradients, strict=True)), means2d
         )
-
-    def fisher(self, gaussians: Gaussians, camera: Camera, **how: Any) -> FisherInformation:
-        from framework.fisher.in_torch import fisher_in_torch
-
-        return fisher_in_torch(gaussians.to(self.device), camera, **how)
 
     def losses(self) -> Any:
         from framework.backends import torch_loss

@@ -114,23 +114,12 @@ class Rasterizer(ABC):
                 added.
         """
 
-    @abstractmethod
-    def fisher(
-        self,
-        gaussians: Gaussians,
-        camera: Camera,
-        *,
-        background: Tensor | None = None,
-        sh_degree: int | None = None,
-        near: float = 0.01,
-        mask: Tensor | None = None,
-    ) -> FisherInformation:
-        """Information of the camera's image on each Gaussian, on the CPU; see
-        `framework.fisher.information`.
+    def fisher(self, gaussians: Gaussians, camera: Camera, **options: Any) -> FisherInformation:
+        """Information of the camera's image on each Gaussian, by the kernels on the CPU; see
+        `framework.fisher.information`, which also has the options."""
+        from framework.fisher.information import fisher_information
 
-        Args:
-            mask: [H, W] on the CPU.
-        """
+        return fisher_information(gaussians.to("cpu"), camera, **options)
 
     @abstractmethod
     def losses(self) -> Any:

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from framework.backends.contract import Rasterizer, RenderGradient
 
 if TYPE_CHECKING:
-    from framework.fisher.information import FisherInformation
     from framework.types import Camera, Gaussians, Render
 
 
 @dataclass(frozen=True)
 class Numba(Rasterizer):
-    """`framework.kernels` and `framework.fisher`, as they are."""
+    """`framework.kernels`, as they are."""
 
     name: ClassVar[str] = "numba"
     fused: ClassVar[bool] = True
@@ -36,11 +35,6 @@ class Numba(Rasterizer):
         from framework.kernels import render_gradient
 
         return render_gradient(gaussians, camera, image_gradient, **how)
-
-    def fisher(self, gaussians: Gaussians, camera: Camera, **how: Any) -> FisherInformation:
-        from framework.fisher.information import fisher_information
-
-        return fisher_information(gaussians, camera, **how)
 
     def losses(self) -> Any:
         from framework.backends import numba_loss

@@ -92,25 +92,6 @@ def test_gradients(rasterizer: Rasterizer, seed: int, degree: int | None) -> Non
     assert torch.allclose(ours[3], theirs[3], rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("seed", SEEDS)
-def test_information(rasterizer: Rasterizer, seed: int, masked: bool) -> None:
-    """The kernels' own, whose truth is in tests/numerics/test_fisher.py, on the CPU."""
-    case = scene(seed)
-    size = case.camera.height, case.camera.width
-    mask = (torch.rand(size, generator=_draws(seed)) > 0.4).float() if masked else None
-    inputs = {"background": case.background, "mask": mask}
-    ours = NUMBA.fisher(case.gaussians, case.camera, **inputs)
-    theirs = rasterizer.fisher(case.gaussians, case.camera, **inputs)
-    assert torch.equal(ours.visible, theirs.visible)
-    for mine, other in ((ours.block, theirs.block), (ours.diagonal, theirs.diagonal)):
-        assert other.device.type == "cpu" and other.dtype == torch.float32
-        scale = mine.abs().flatten(1).amax(1).clamp(min=1e-12)
-        error = ((mine - other).abs().flatten(1).amax(1) / scale).sort().values
-        # a pair at a cut-off is one more or less: of one Gaussian in twenty at most
-        assert error[: int(0.95 * len(error))].max() < 1e-3, error[-5:]
-
-
 def _draws(seed: int) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 

@@ -29,7 +29,7 @@ NO_TRAINING = (
         "types.py",
     ),
     # twins in PyTorch and NumPy, for tests and other devices
-    *("kernels/reference.py", "backends", "fisher/in_torch.py", "train/torch_adam.py"),
+    *("kernels/reference.py", "backends", "train/torch_adam.py"),
     "compute/tensors.py",  # PyTorch's on other devices
 )
 
