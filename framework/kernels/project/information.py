@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from framework.compute.chunks import span, take1, take3, take4
+from framework.compute.chunks import put_row, span, take1, take3, take4, take_row
 from framework.compute.jit import inlined, kernel
 from framework.compute.simd import (
     LANES,
@@ -32,7 +32,6 @@ from framework.compute.simd import (
     select,
     splat,
     store,
-    store16,
     zeros,
 )
 from framework.kernels.project.ewa import conic_of, exp
@@ -85,12 +84,7 @@ def colour_slopes(block, blocks, means, shN, degree, camera, clipped, slopes):
         r = _along(degree, terms, 0, base, count, shN, clipped, x, y, z, inverse, e, sh, scratch)
         g = _along(degree, terms, 1, base, count, shN, clipped, x, y, z, inverse, e, sh, scratch)
         b = _along(degree, terms, 2, base, count, shN, clipped, x, y, z, inverse, e, sh, scratch)
-        if count == LANES:
-            store16(slopes, base * LANES, (*r, *g, *b, *tail))
-        else:
-            store16(sh, 0, (*r, *g, *b, *tail))
-            for i in range(count * LANES):
-                slopes[base * LANES + i] = sh[i]
+        put_row(slopes, base, count, sh, (*r, *g, *b, *tail))
 
 
 @inlined
@@ -106,16 +100,6 @@ def _along(degree, terms, channel, base, count, shN, clipped, x, y, z, inverse, 
         scale * (gx * e[0] + gy * e[1] + gz * e[2]),
         scale * (gx * e[3] + gy * e[4] + gz * e[5]),
     )
-
-
-@inlined
-def _columns(flat, base, count, scratch):
-    """The 16 numbers of every Gaussian as a tuple of vectors; scratch: flat [16, 16]."""
-    if count == LANES:
-        return load16(flat, base * LANES)
-    for i in range(count * LANES):
-        scratch[i] = flat[base * LANES + i]
-    return load16(scratch, 0)
 
 
 @inlined
@@ -254,7 +238,7 @@ def pull_back_moments(
             diagonal[base : base + count] = ZERO
             continue
         _sums(first, sums, base, count, square, moments)
-        row = _columns(rows, base, count, square)
+        row = take_row(rows, base, count, square)
         screen_jacobian(
             camera,
             take3(means, base, count, scratch),
@@ -266,7 +250,7 @@ def pull_back_moments(
         _through_alpha(moments, jacobian, image, values, turns)
         if len(cross) > 0:
             _sums(first, cross, base, count, square, mixed)
-            columns = _columns(slopes, base, count, square)
+            columns = take_row(slopes, base, count, square)
             for k in range(LANES):
                 store(slope, k * LANES, columns[k])
             _through_direction(moments, slope, mixed, jacobian, h, values)

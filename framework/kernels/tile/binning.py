@@ -136,23 +136,7 @@ def _reached(gathered, width, height, columns, reach):
 
 
 @kernel
-def count_tiles(
-    block,
-    blocks,
-    n,
-    order,
-    rows,
-    start,
-    width,
-    height,
-    strips,
-    items,
-    touched,
-    n_parts,
-    histogram,
-    strip_items,
-    strip_parts,
-):
+def count_tiles(block, blocks, n, size, rows, strips, items, listed, counts):
     """List the tiles of the Gaussians order[k], for the k of this block.
 
     items[start[k]...] receives (tile << 9 | 256 where a part begins | last row << 4 | first row).
@@ -160,8 +144,14 @@ def count_tiles(
     strip_items[block, strip] and strip_parts[block, strip] count items and parts.
 
     Args:
+        size: width and height.
         strips: the strip of every tile.
+        listed: order, start, touched and n_parts.
+        counts: histogram, strip_items and strip_parts.
     """
+    width, height = size
+    order, start, touched, n_parts = listed
+    histogram, strip_items, strip_parts = counts
     n_columns = (width + 15) // 16
     histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
     flat = rows.reshape(-1)
@@ -215,18 +205,20 @@ def _places(counts, offsets):
 
 
 @kernel
-def prefix_tiles(
-    n, order, n_parts, first, histogram, offsets, strip_parts, bounds, strip_items, n_slots
-):
-    """Turn counts into first positions.
+def prefix_tiles(n, listed, first, counts, ends):
+    """Turn counts into first positions; `listed` and `counts` as in `count_tiles`.
+
+    For every block, histogram becomes its first position in the tiles' lists, which begin at
+    offsets. strip_parts becomes that in the strips' lists of parts, which begin at bounds.
+    strip_items becomes that among a strip's n_slots slots.
 
     Args:
-        n_parts: [n], parts of the Gaussians order[k].
-        first: [N + 1], out, a Gaussian's first part. For every block, histogram becomes its first
-            position in the tiles' lists, which begin at offsets. strip_parts becomes that in the
-            strips' lists of parts, which begin at bounds. strip_items becomes that among a strip's
-            n_slots slots.
+        first: [N + 1], out, a Gaussian's first part.
+        ends: offsets, bounds and n_slots, out.
     """
+    order, _, _, n_parts = listed
+    histogram, strip_items, strip_parts = counts
+    offsets, bounds, n_slots = ends
     first[:] = 0
     for k in range(n):  # here: threads that scatter into one array wait for each other's lines
         first[order[k]] = n_parts[k]
@@ -247,24 +239,12 @@ def prefix_tiles(
 
 
 @kernel
-def fill_tiles(
-    block,
-    blocks,
-    n,
-    order,
-    start,
-    strips,
-    items,
-    touched,
-    first,
-    histogram,
-    strip_items,
-    strip_parts,
-    lists,
-    parts,
-):
+def fill_tiles(block, blocks, n, strips, items, listed, first, counts, lists_and_parts):
     """Write this block's items into the tiles' lists [items, 2], and its parts into the strips'
     lists [parts, 2]: which part it is, and its first slot."""
+    order, start, touched, _ = listed
+    histogram, strip_items, strip_parts = counts
+    lists, parts = lists_and_parts
     places, next_slot, next_part = histogram[block], strip_items[block], strip_parts[block]
     flat, flat_parts = lists.reshape(-1), parts.reshape(-1)
     for tile in range(0, len(places), LANES):  # another thread wrote these
