@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from framework.depth.corruption import BLUR_LENGTH, NOISE, corrupt
-from framework.depth.provider import CORRUPTIONS
+from framework.depth.options import CORRUPTIONS
 from framework.types import DepthMap
 from tests.built import build_provider
 from tests.depth.plane import plane_scene

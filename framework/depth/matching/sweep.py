@@ -15,11 +15,10 @@ import torch
 from scipy.ndimage import uniform_filter
 
 from framework.compute.parallel import run_blocks
-from framework.depth.consistency import agreeing_views
+from framework.depth.consistency import agreeing_views, depth_map
 from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows
-from framework.depth.matching.bounds import depth_bounds
 from framework.depth.matching.match import COST_ONE, VARIANCE_FLOOR, match_costs
-from framework.depth.matching.neighbours import choose_neighbours, grid_points
+from framework.depth.matching.neighbours import choose_neighbours, depth_bounds, grid_points
 from framework.depth.matching.select import select_planes
 from framework.depth.transfer import inside, pixel_transfer, project
 from framework.errors import UserError, require
@@ -225,9 +224,6 @@ def sweep_views(training: TrainingSet, options: PlaneSweepOptions) -> tuple[Dept
     maps = []
     for i, (depth, zncc) in enumerate(swept):
         agreeing = agreeing_views(depths, cameras, i, sources[i], options.tolerance)
-        score = torch.from_numpy(confidence(zncc, agreeing, len(sources[i])))
-        mask = training.views[i].mask
-        maps.append(
-            DepthMap(torch.from_numpy(depth), score if mask is None else score * (mask > 0))
-        )
+        score = confidence(zncc, agreeing, len(sources[i]))
+        maps.append(depth_map(training.views[i], depth, score))
     return tuple(maps)
