@@ -20,20 +20,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from framework.compute import portable
 from framework.compute.rng import stream
 from framework.types import DepthMap
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 NOISE, NOISE_LENGTH = 0.1, 0.01
 BIAS = 0.2

@@ -32,21 +32,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
 
 from framework.compute.portable import exp, log
 from framework.depth.transfer import pixel_transfer
 from framework.geometry import distance
+from framework.types import Camera, DepthMap, View
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    from torch import Tensor
-
-    from framework.types import Camera, DepthMap, View
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 ENOUGH = 6  # photos
 NEAREST = 8  # photos that one is compared with, and that a new view is exposed like

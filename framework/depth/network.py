@@ -13,25 +13,20 @@ import hashlib
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from framework.depth.align import align, fit_scale
 from framework.depth.consistency import confirmed
 from framework.depth.matching.sweep import sweep_views
-from framework.depth.options import DEPTH_ANYTHING_3, PlaneSweepOptions
+from framework.depth.options import DEPTH_ANYTHING_3, DepthAnything3Options, PlaneSweepOptions
 from framework.depth.read import resample
 from framework.errors import UserError, require
 from framework.files.whole import file_sha256
-from framework.types import DepthMap
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.depth.options import DepthAnything3Options
-    from framework.types import TrainingSet
+from framework.types import DepthMap, TrainingSet
 
 WHERE = "depth=depth_anything_3"
 FILES = ("config.json", "model.safetensors")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from framework.depth.align import align
 from framework.depth.consistency import confirmed
+from framework.depth.options import DepthFileOptions
 from framework.errors import UserError, require
 from framework.files.arrays import read_npy, read_npz
 from framework.files.limits import IMAGE_BYTES, IMAGE_PIXELS
@@ -20,11 +21,6 @@ from framework.files.paths import inside
 from framework.files.whole import file_sha256
 from framework.scenes.decoding import image_size
 from framework.types import DepthMap, TrainingSet, View
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.depth.options import DepthFileOptions
 
 SUFFIXES = (".npy", ".npz", ".png")
 ASPECT_TOLERANCE = 0.02

@@ -13,13 +13,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from framework.compute import portable
 from framework.depth.transfer import inside, project
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from framework.types import Camera, TrainingSet
 
 MIN_POINTS = 50  # fewer say little about the ends of the range

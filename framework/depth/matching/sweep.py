@@ -8,10 +8,10 @@ depth, so that its numbers do not depend on the unit of length.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from framework.compute.parallel import run_blocks
@@ -20,14 +20,10 @@ from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows
 from framework.depth.matching.match import COST_ONE, VARIANCE_FLOOR, match_costs
 from framework.depth.matching.neighbours import choose_neighbours, depth_bounds, grid_points
 from framework.depth.matching.select import select_planes
+from framework.depth.options import PlaneSweepOptions
 from framework.depth.transfer import inside, pixel_transfer, project
 from framework.errors import UserError, require
 from framework.types import DepthMap, TrainingSet, View
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.depth.options import PlaneSweepOptions
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 ONE_PLACE = 0.01  # of the near bound; closer cameras see no parallax

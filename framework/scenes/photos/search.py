@@ -15,9 +15,10 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from framework.compute.orphans import watch
 from framework.errors import UserError, mendable, os_line, require
@@ -29,9 +30,6 @@ from framework.scenes.photos.process import Messages
 from framework.scenes.photos.result import Result, Try, write_result
 from framework.scenes.photos.source import FEWEST
 from framework.scenes.photos.video import sharpest_frames
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def main() -> None:
