@@ -1,7 +1,5 @@
 """The losses of `torch_loss` by the kernels: the same functions, on arrays of the CPU."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The photometric loss of `framework.kernels.losses`, and the gradient of
 `framework.kernels.roughness` and `binocular`, in torch, on any device."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 

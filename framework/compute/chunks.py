@@ -5,8 +5,6 @@
 are flat float32.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from framework.compute.jit import inlined, kernel

@@ -2,8 +2,6 @@
 every processor (see `portable`). Light to import.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

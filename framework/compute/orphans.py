@@ -4,8 +4,6 @@ Without this a killed study leaves a launcher's workers: they finish their runs,
 half a gigabyte each. What they were training is kept in checkpoints, as after any kill.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -6,8 +6,6 @@ code for SSE, FMA, AVX2 and AVX-512. Here they are made of the former, in one or
 few units in the last place of float64.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

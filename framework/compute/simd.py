@@ -6,8 +6,6 @@ SSE/NEON registers. Every operation is strict IEEE and every sum has a fixed ord
 the same bits on each of them.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 from typing import Any

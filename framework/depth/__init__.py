@@ -7,8 +7,6 @@ how the photos were exposed; `pose_check` whether poses fit the photos. Importin
 neither torch nor numba.
 """
 
-from __future__ import annotations
-
 from framework.depth.options import DepthProvider, unspoiled
 from framework.depth.providers import PROVIDERS
 

@@ -5,8 +5,6 @@ at pixel x' with depth z'. The views agree if |z' / D'(x') - 1| < tolerance, D' 
 that contains x'. This is the left-right check of stereo, written for any pair of pinhole cameras.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -16,8 +16,6 @@ not matter. At strength s in [0, 1]:
 The draws of a seed are the same at every strength: a sweep over strengths scales one error.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

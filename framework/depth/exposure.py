@@ -27,8 +27,6 @@ A new view is exposed like the photos around it: its log gain is the mean of tho
 cameras, weighted by 1 / distance^2 (Shepard 1968). Test photos are not used.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

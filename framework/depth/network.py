@@ -6,8 +6,6 @@ size, in the unit of the extrinsics, and a confidence >= 1. It treats camera dis
 0.1, so the poses are centred and scaled to a median distance of 1 from the centre.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Reading depth files: .npy, .npz (key `depth`) and 16-bit .png, one per training view."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

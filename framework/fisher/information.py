@@ -7,8 +7,6 @@ summed as squares. The unit is intensity^2 per squared parameter, with means in 
 noise variance of 1.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

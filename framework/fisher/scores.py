@@ -9,8 +9,6 @@ trace below depends almost only on parameters that the reference view does not s
 All sums are numpy's, in float64 and on one thread, so the bits do not depend on the thread count.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -8,8 +8,6 @@ where depth holds one map per training view. Importing this package is light (no
 `--help` lists the options.
 """
 
-from __future__ import annotations
-
 from framework.initialize.background import background_color, random_background
 from framework.initialize.sparse import Sparse
 from framework.initialize.stereo import Stereo

@@ -7,8 +7,6 @@ no training view looks through it and it is outside the ball around the cameras:
 through that ball, and floaters in it would hide the scene.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -5,8 +5,6 @@ a tolerance. It *looks through* the point if the nearest depth of 3 x 3 pixels i
 All is float64 with the operations of `framework.geometry` in the same order, for equal bits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple

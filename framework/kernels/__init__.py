@@ -6,8 +6,6 @@ the same gradient without autograd, as training does. Results and gradients have
 any number of threads.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any

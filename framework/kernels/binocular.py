@@ -7,8 +7,6 @@ agrees with that of the shifted render. Elsewhere one surface hides the other, o
 depths is wrong.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Those of `np.empty` may not: a row of 16 floats that lies across two lines is pr
 and loaded twice.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -15,8 +15,6 @@ still need. Rows outside the image are zero. S is a whole number of vectors; val
 finite and unused.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute import portable

@@ -4,8 +4,6 @@
 brings its gradient to the parameters. A workspace belongs to one render until its gradient is done.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Any
 

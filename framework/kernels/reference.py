@@ -14,8 +14,6 @@ before the Gaussian that would bring its transmittance below 1e-4. M counts the 
 culling, P = H W the pixels, K the SH coefficients.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

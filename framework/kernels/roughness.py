@@ -7,8 +7,6 @@ expected depth d = alpha / depth. Pairs with an empty pixel do not count. The we
 Source: Godard et al. 2017, equation 3.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import inlined, kernel

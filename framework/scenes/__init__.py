@@ -3,8 +3,6 @@
 Importing this package imports none of the heavy libraries; `load` does.
 """
 
-from __future__ import annotations
-
 from framework.scenes.blender import Blender
 from framework.scenes.colmap import Colmap, Mip360
 from framework.scenes.dtu import Dtu

@@ -9,8 +9,6 @@ files. `split=file` is for your own objects: training views are evenly spaced in
 all photos of the other are test views.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass

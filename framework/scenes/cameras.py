@@ -5,8 +5,6 @@ limits exceed any real camera; values beyond them come from a damaged or forged 
 cause a division by zero or meaningless numbers in a report.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import astuple

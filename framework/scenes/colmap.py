@@ -16,8 +16,6 @@ DropGaussian) trains on 12 or 24 views at an eighth of the size and tests on eve
 protocol `mip360`. Its photos are free of distortion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """A COLMAP sparse model as lenses, poses and tracks, and the choice among several models."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Coloured points without tracks, from a PLY file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

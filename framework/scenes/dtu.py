@@ -19,8 +19,6 @@ white elsewhere in render and truth (RegNeRF; CoR-GS's `metrics_dtu.py`). Traini
 - object: the object alone, which needs masks of the training photos.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ P = K [R | t] is split by the RQ decomposition of its left 3 x 3 block (Hartley 
 section 6.2.4), with a positive diagonal of K and K[2, 2] = 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

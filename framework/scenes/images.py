@@ -4,8 +4,6 @@ Pixels are 8-bit RGB; 16-bit values lose their lower byte. EXIF orientations are
 `photo` requires it: structure from motion mostly ignores them, so poses belong to stored pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -10,8 +10,6 @@ principal point and r^2 = x^2 + y^2:
 COLMAP's FULL_OPENCV cameras use it. SIMPLE_RADIAL, RADIAL and OPENCV are special cases.
 """
 
-from __future__ import annotations
-
 from dataclasses import astuple, dataclass
 
 import numpy as np

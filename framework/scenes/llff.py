@@ -16,8 +16,6 @@ If there are more or fewer photos than rows, the model that has the rows' poses 
 row belongs to. Without such a model the folder is refused.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The sparse points of a COLMAP model for a scene whose poses come from another file."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from collections.abc import Sequence

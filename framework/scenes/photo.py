@@ -5,8 +5,6 @@ are read one at a time and reduced at once. The memory of the reduced views is c
 headers before the first photo is decoded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -6,8 +6,6 @@ are seen by the training views that they project into. Without any points, they 
 from the training photos.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 

@@ -17,8 +17,6 @@ Points come from the COLMAP model with the poses of the file, also after nerfstu
 training views' points, as in `scene=colmap`, unless given.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from os.path import splitext

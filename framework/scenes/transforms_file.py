@@ -1,7 +1,5 @@
 """Reads and checks a `transforms.json`; see `transforms` for its content."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 Only the training photos are used, so the points are independent of the test photos.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass

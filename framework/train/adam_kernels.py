@@ -5,8 +5,6 @@ Every element is computed alone, in float32 and without contraction, so the bits
 threads or blocks, nor on which of the two kernels it is.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Makes the `StepContext` that a plugin gets at one moment of a training."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The views of an epoch: their order, and their preparation at the current resolution."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The training loss on one view and its gradient in every parameter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any

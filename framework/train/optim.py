@@ -4,8 +4,6 @@ Kingma & Ba 2015, "Adam", algorithm 1, with the constants of 3DGS: beta = (0.9, 
 Plain twin: `torch.optim.Adam` (tests compare).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 """What every Adam of a training has, whatever computes its step: the moments, and how they follow
 a set of Gaussians that changes."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Adam in torch, for parameters on any device: the arithmetic of `framework.train.adam_kernels`."""
 
-from __future__ import annotations
-
 import math
 
 import torch

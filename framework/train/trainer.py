@@ -15,8 +15,6 @@ The trainer has a `TrainingSet`, so test views cannot be reached from here; `eva
 that is given only the Gaussians.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The cameras of a run from its `transforms.json` (see `framework.records.cameras`)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

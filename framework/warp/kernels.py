@@ -11,8 +11,6 @@ accumulators `z_min` [blocks, cells] and `sums` [blocks, 5 cells], float32, flat
 point; its values are ignored.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import inlined, kernel

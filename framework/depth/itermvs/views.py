@@ -1,7 +1,5 @@
 """IterMVS on all views of a training set."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from functools import lru_cache, partial

@@ -7,8 +7,6 @@ and down (Hirschmueller, TPAMI 2008, eq. 13-14). P2 is lower at image edges betw
 `L` are padded on both ends of d by a value above any cost, which avoids branches.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import kernel

@@ -10,8 +10,6 @@ and the reference; windows that leave the image repeat its border. `VARIANCE_FLO
 without texture (a deviation of about one grey level of 255) from matching their noise.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@
 Same layouts and units as `match`, `aggregate` and `select`; float64, whole volumes at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Winner-take-all over an aggregated cost volume, with sub-plane refinement, kernel."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import kernel

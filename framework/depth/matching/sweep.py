@@ -5,8 +5,6 @@ depth bounds (Collins, CVPR 1996; Gallup et al., CVPR 2007). Matching works with
 depth, so that its numbers do not depend on the unit of length.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The gradient of what `projection` does: from sums over pixels back to the parameters."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.chunks import put1, put2, put3, put4, span, take1, take3, take4, take_row

@@ -5,8 +5,6 @@ Helpers for float32 numbers and for vectors of them (`simd`) alike.
 Camera row (float32[20]): rotation (9), translation (3), centre (3), fx, fy, cx, cy, near.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

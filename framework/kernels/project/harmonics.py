@@ -4,8 +4,6 @@ The helpers are for float32 numbers and for vectors of them (`simd`) alike; `sh_
 `sh_backward` are for a chunk of 16 Gaussians.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -17,8 +17,6 @@ s_ck e_k with two tangents e_k, and two sums over the channels, h_k = sum_c s_ck
 Clamped colours have s_ck = 0; at SH degree 0 only the first term is left.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.chunks import put_row, span, take1, take3, take4, take_row

@@ -14,8 +14,6 @@ dy, the sums of a long thin Gaussian would cancel. The monomials are m = (dx, e,
 Lanes are Gaussians.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import inlined

@@ -18,8 +18,6 @@ the 2D covariance.
 The blending kernels compute alpha = 2^(row[5] + row[2] dx^2 + row[3] dx dy + row[4] dy^2).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

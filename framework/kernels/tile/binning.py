@@ -11,8 +11,6 @@ consecutive and are summed into one "part". The parts of one Gaussian are consec
 threads than strips, some threads have nothing to do in this phase.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

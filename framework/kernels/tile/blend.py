@@ -5,8 +5,6 @@ alpha_i = T_i c_i - S / (1 - alpha_i) (Kerbl et al. 2023, appendix; front to bac
 is part of the initial S, which is the finished pixel.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import inlined, kernel

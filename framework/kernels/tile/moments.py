@@ -3,8 +3,6 @@
 The pass is like `blend_backward`, with squares instead of products with a loss's gradient.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import inlined, kernel

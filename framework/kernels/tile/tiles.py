@@ -7,8 +7,6 @@ check. These rows decide where alpha is extrapolated (`first_alphas`), equally i
 last bits of a pixel depend on its tile.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Few and plain on purpose: numba counts references atomically whenever an array l
 costs more than the arithmetic of a ray.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The options of the embedded scene, below what generates it. Light to import."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Positions are in units of `spread` on the plane z = 0, viewing directions converge on a far point.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

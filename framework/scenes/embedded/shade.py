@@ -5,8 +5,6 @@ subsample of a pixel uses another of the L directions of the key light: their me
 and the same in every view. Formulas: Blinn 1977.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ Rays are `o + t d` with any length of `d`; a miss is `t = inf`. Formulas: quadra
 the curved solids, the slab method for boxes (Kay & Kajiya 1986).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -3,8 +3,6 @@
 Mirrors reflect once, with a rise towards grazing angles after Schlick 1994.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

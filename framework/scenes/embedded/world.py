@@ -4,8 +4,6 @@ Units are metres. Axes are those of a camera (x right, y down, z away from the c
 origin). Every solid has a centre, a frame, half sizes and a material. Nothing is random.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

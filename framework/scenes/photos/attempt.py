@@ -4,8 +4,6 @@ pycolmap gets its work in portions, so that progress can be shown. Photos and ca
 first and in order: their ids, and all results, then do not depend on the order of threads.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The result of a search for poses, kept as `poses.json` next to the model."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from dataclasses import dataclass, field

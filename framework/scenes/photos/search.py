@@ -5,8 +5,6 @@
 It leaves `images`, `sparse/0` and `poses.json` in the folder of the request.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
