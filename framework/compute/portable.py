@@ -169,14 +169,19 @@ def logit(p: ArrayLike) -> Array:
     return log(p) - log1p(-np.asarray(p, np.float64))
 
 
-def log_det(blocks: ArrayLike) -> Array:
-    """[N] log determinants of positive definite blocks [N, D, D], by the pivots of L D L^T."""
+def log_det(blocks: ArrayLike, more: ArrayLike = 0.0) -> Array:
+    """[N] log determinants by the pivots of L D L^T of blocks [N, D, D] with `more` [N, D] >= 0 on
+    their diagonals. The blocks are positive semi-definite, so no pivot is below it; rounding that
+    says otherwise is corrected.
+    """
     a = np.array(np.moveaxis(np.asarray(blocks, np.float64), 0, -1), order="C")  # lanes: blocks
     total = np.zeros(a.shape[-1])
+    least = np.broadcast_to(np.asarray(more, np.float64), a.shape[:0:-1])
     for i in range(len(a)):
-        total += log(a[i, i])
+        pivot = np.maximum(a[i, i] + least[:, i], least[:, i])
+        total += log(pivot)
         for row in range(i + 1, len(a)):
-            factor = a[row, i] / a[i, i]
+            factor = a[row, i] / pivot
             for col in range(i + 1, row + 1):
                 a[row, col] -= factor * a[col, i]
     return total

@@ -122,15 +122,12 @@ def load(options: EmbeddedOptions) -> Scene:
     K = intrinsics(focal, focal, 0.5 * options.width, 0.5 * options.height)
     poses = np.stack([rig.pose(p, options.spread) for p in train + test])
     names = [f"train{k:02d}" for k in range(n)] + [f"test{k:02d}" for k in range(len(test))]
-    tags = [()] * n + [
-        ("interpolating",) if rig.is_inside(p, train) else ("extrapolating",) for p in test
-    ]
     noisy = list(poses)
     if options.pose_noise > 0:
         noisy[:n] = rig.perturbed(poses[:n], options.pose_noise / focal)
     shots = [
-        Shot(name, _world_to_camera(pose), K, image, depth, tags=tag)
-        for name, pose, image, depth, tag in zip(names, noisy, *pictures, tags, strict=True)
+        Shot(name, _world_to_camera(pose), K, image, depth)
+        for name, pose, image, depth in zip(names, noisy, *pictures, strict=True)
     ]
     points = Tracks(*sparse_points(pictures.images[:n], pictures.depths[:n], poses[:n], focal))
     depths = pictures.depths[:n]

@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -25,7 +26,7 @@ from framework.scenes.photos.attempt import Attempt, attempt
 from framework.scenes.photos.options import STEPS
 from framework.scenes.photos.prepare import Photo, prepare
 from framework.scenes.photos.process import Messages
-from framework.scenes.photos.result import Result, Try, write_result
+from framework.scenes.photos.result import Poses, Result, Try, write_result
 from framework.scenes.photos.source import FEWEST
 from framework.scenes.photos.video import sharpest_frames
 
@@ -65,15 +66,10 @@ def search(request: dict[str, Any], messages: Messages) -> None:
     best, tries = _best(photos, folder, request["threads"], messages)
     seconds = time.monotonic() - started
     result = Result(
+        **{field.name: getattr(best, field.name) for field in fields(Poses)},
         photos=[photo.name for photo in photos],
-        placed=best.placed,
-        groups=best.groups,
-        features=best.features,
-        links=best.links,
         tries=tries,
         seconds=seconds,
-        held=best.held,
-        overruled=best.overruled,
         video=request["video"],
         reduced=any(photo.reduced for photo in photos),
         copies=request["copies"],
