@@ -20,24 +20,6 @@ from framework.kernels.memory import aligned
 from framework.kernels.pipeline import Arrays, Image, Workspace
 from framework.types import Camera, Gaussians, Render
 
-__all__ = [
-    "Arrays",
-    "ScreenGradient",
-    "Workspace",
-    "binocular",
-    "borrow",
-    "constants",
-    "give_back",
-    "losses",
-    "memory",
-    "project",
-    "rasterize",
-    "reference",
-    "render_gradient",
-    "rendered",
-    "roughness",
-]
-
 _NOTHING, _BLACK = np.empty((0, 0), np.float32), np.zeros(3, np.float32)
 _free: list[Workspace] = []  # workspaces not in use; two renders may be waiting for gradients
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from framework.errors import UserError
-from framework.initialize import Sparse, background_color
+from framework.initialize import Sparse
+from framework.initialize.background import background_color
 from framework.types import Gaussians
 from tests.init.synthetic import camera, points, scene
 

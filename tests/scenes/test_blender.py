@@ -14,7 +14,7 @@ from PIL import Image
 
 from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.initialize import background_color
+from framework.initialize.background import background_color
 from framework.types import Scene
 from tests.built import load_scene
 
