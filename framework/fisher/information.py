@@ -15,13 +15,14 @@ from torch import Tensor
 
 from framework.errors import require
 from framework.kernels import give_back, rendered
-from framework.kernels.memory import aligned
 from framework.types import Camera, Gaussians
 
 
 @dataclass(frozen=True)
 class FisherInformation:
     """The information of one view on every Gaussian, zero for those it does not see.
+
+    `block` and `diagonal` share a buffer that is reused once neither is referenced.
 
     Attributes:
         block: [N, 6, 6], on (mean, log-scale).
@@ -70,7 +71,7 @@ def fisher_information(
         pixels = mask.detach().contiguous().numpy()
     work, image, _ = rendered(gaussians, camera, background, sh_degree, near)
     work.blend_moments(image, pixels)
-    block, diagonal = aligned((n, 6, 6)), aligned((n, 14))
+    block, diagonal = work.blocks.lend([(n, 6, 6), (n, 14)])
     work.information(block, diagonal)
     visible = torch.from_numpy(work.first[1:] > work.first[:-1])  # it has parts
     give_back(work)

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from framework.errors import UserError
-from framework.kernels.memory import aligned
+from framework.kernels.lending import Lender
 from framework.kernels.pipeline import Arrays, Image, Workspace
 from framework.types import Camera, Gaussians, Render
 
@@ -51,12 +51,16 @@ def _render(
     background: np.ndarray,
     degree: int,
     near: float,
+    *,
     with_depth: bool,
+    kept: bool,
 ) -> tuple[Image, np.ndarray]:
-    """The image and radii [N]."""
-    size = camera.height, camera.width
-    planes, depth = aligned((4, *size)), aligned(size if with_depth else (0, 0))
-    radii = aligned((len(tensors[0]),))
+    """The image and radii [N]. kept: for a gradient, hence in memory that is lent again; others may
+    hold on to what they render."""
+    size, n = (camera.height, camera.width), len(tensors[0])
+    of_images, of_radii = (work.images, work.radii) if kept else (Lender(), Lender())
+    planes, depth = of_images.lend([(4, *size), size if with_depth else (0, 0)])
+    (radii,) = of_radii.lend([(n,)])
     image = Image(planes[:3], planes[3], depth)
     work.render(Arrays(*map(_numpy, tensors)), camera, background, degree, near, image, radii)
     return image, radii
@@ -64,7 +68,7 @@ def _render(
 
 def _pull_back(work: Workspace, shapes: Sequence[tuple[int, ...]]) -> list[Tensor]:
     """From the gradient on the screen to that in the tensors, of these shapes, that made it."""
-    arrays = [aligned(shape) for shape in shapes]
+    arrays = [*work.gradients.lend(shapes[:-1]), *work.pulls.lend(shapes[-1:])]
     work.project_backward(Arrays(*arrays))
     return [torch.from_numpy(array) for array in arrays]
 
@@ -89,11 +93,12 @@ class _Rasterize(torch.autograd.Function):
     ) -> Any:
         ctx.set_materialize_grads(False)
         tensors = (means, quats, log_scales, opacity_logits, sh0, shN, factors, offset)
-        work = borrow()
-        image, radii = _render(work, tensors, camera, background, degree, near, with_depth)
+        work, kept = borrow(), any(ctx.needs_input_grad)
+        seen = camera, background, degree, near
+        image, radii = _render(work, tensors, *seen, with_depth=with_depth, kept=kept)
         outputs = tuple(map(torch.from_numpy, (image.rgb, image.alpha, image.depth, radii)))
         ctx.mark_non_differentiable(outputs[-1])
-        if any(ctx.needs_input_grad):
+        if kept:
             ctx.work = work
             ctx.save_for_backward(*outputs[:3])  # as attributes they would hold ctx, and it them
             ctx.shapes = [t.shape for t in tensors]
@@ -285,9 +290,9 @@ def rendered(
         UserError: as `rasterize`.
     """
     tensors = _tensors(gaussians, opacity_factors, None)
-    colour, degree = _colour(background), gaussians.active_degree(sh_degree)
+    seen = camera, _colour(background), gaussians.active_degree(sh_degree), near
     work = borrow()
-    return work, *_render(work, tensors, camera, colour, degree, near, with_depth)
+    return work, *_render(work, tensors, *seen, with_depth=with_depth, kept=True)
 
 
 def _colour(background: Tensor | None) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from framework.compute.jit import inlined, kernel
 from framework.compute.parallel import run_blocks
 from framework.kernels.constants import WHOLE
-from framework.kernels.memory import aligned
+from framework.kernels.lending import ThreadsLender
 from framework.kernels.roughness import SEEN
 
 _NONE, _ZERO, _ONE, _WHOLE = (np.float32(x) for x in (-1, 0, 1, WHOLE))
@@ -102,6 +102,9 @@ def binocular_rows(
             to_depth[x] = pull * (a[x] / z[x]) if counts else _ZERO
 
 
+_lender = ThreadsLender()
+
+
 def binocular_gradient(
     alpha: np.ndarray,
     depth: np.ndarray,
@@ -123,10 +126,10 @@ def binocular_gradient(
 
     Returns:
         Gradients in alpha and depth [H, W] of the photo's camera and in the colours [3, H, W] of
-        the shifted one, float32.
+        the shifted one, float32, in a buffer that is reused once unreferenced.
     """
-    in_alpha, in_depth, in_rgb = (aligned(like.shape) for like in (alpha, depth, photo))
+    gradients = _lender.lend([alpha.shape, alpha.shape, photo.shape])
     numbers = np.float32(moves), np.float32(tolerance), np.float32(weight)
-    gradients = in_alpha, in_depth, in_rgb
     run_blocks(binocular_rows, alpha, depth, *beside, photo, mask, *numbers, *gradients)
+    in_alpha, in_depth, in_rgb = gradients
     return in_alpha, in_depth, in_rgb

@@ -17,7 +17,7 @@ from torch.autograd.function import once_differentiable
 
 from framework.compute.parallel import run_blocks
 from framework.kernels import photometric
-from framework.kernels.memory import aligned
+from framework.kernels.lending import ThreadsLender
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,15 @@ def _ones(height: int, width: int) -> np.ndarray:
     return np.ones((height, width), np.float32)
 
 
+_lender = ThreadsLender()
+
+
 def photometric_gradient(
     rgb: np.ndarray, target: Target, ssim_weight: float = 0.2, weight: float = 1.0
 ) -> tuple[float, np.ndarray]:
     """Compute `photometric_loss` times `weight` of a render [3, H, W] float32, and its gradient.
+
+    The gradient is in a buffer that is reused once unreferenced.
 
     Raises:
         ValueError: for another shape or dtype.
@@ -67,7 +72,7 @@ def photometric_gradient(
         raise ValueError(
             f"photometric_loss: expected float32 {target.image.shape}, got {rgb.dtype} {rgb.shape}"
         )
-    gradient, sums = aligned(rgb.shape), aligned((2, *rgb.shape[:2]))
+    gradient, sums = _lender.lend([rgb.shape, (2, *rgb.shape[:2])])
     run_blocks(
         photometric.loss_and_gradient,
         rgb,

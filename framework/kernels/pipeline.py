@@ -12,7 +12,7 @@ import numpy as np
 from framework.compute.parallel import BLOCKS, run_blocks, threads
 from framework.errors import UserError
 from framework.kernels.constants import ROW
-from framework.kernels.memory import aligned, grown
+from framework.kernels.lending import Lender, aligned, grown
 from framework.kernels.project import backward, information, projection
 from framework.kernels.tile import binning, blend, moments
 from framework.types import Camera
@@ -74,6 +74,9 @@ class Workspace:
         self.slopes = np.empty((0, 16), np.float32)
         self.slots: list[np.ndarray] = []
         self.mixed: list[np.ndarray] = []
+        # apart, as who keeps one of a lender's arrays keeps all that were lent with it
+        self.images, self.gradients, self.radii, self.pulls = (Lender() for _ in range(4))
+        self.blocks = Lender()
         self._tiles = (0, 0)
 
     def _fit_image(self, columns: int, bands: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from framework.compute.jit import inlined, kernel
 from framework.compute.parallel import run_blocks
-from framework.kernels.memory import aligned
+from framework.kernels.lending import ThreadsLender
 
 SEEN = np.float32(1e-6)  # alpha from which a pixel shows something
 _NONE, _ZERO = np.float32(-1), np.float32(0)
@@ -64,6 +64,9 @@ def roughness_rows(block, blocks, alpha, depth, weights, in_alpha, in_depth):
             to_alpha[x], to_depth[x] = pull, -pull * d[x]
 
 
+_lender = ThreadsLender()
+
+
 def roughness_gradient(
     alpha: np.ndarray, depth: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -73,8 +76,8 @@ def roughness_gradient(
         weights: [2, H, W] float32.
 
     Returns:
-        Both gradients.
+        Both gradients, in a buffer that is reused once unreferenced.
     """
-    in_alpha, in_depth = aligned(alpha.shape), aligned(alpha.shape)
+    in_alpha, in_depth = _lender.lend([alpha.shape, alpha.shape])
     run_blocks(roughness_rows, alpha, depth, weights, in_alpha, in_depth)
     return in_alpha, in_depth

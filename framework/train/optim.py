@@ -13,7 +13,7 @@ from torch import Tensor
 from framework.backends import RenderGradient
 from framework.compute.parallel import BLOCKS, run_blocks, threads
 from framework.kernels import ScreenGradient, give_back
-from framework.kernels.memory import aligned
+from framework.kernels.lending import aligned
 from framework.train.adam_kernels import BETA1, BETA2, CHUNK, adam_kernel, pull_back_and_step
 from framework.train.optimizer import AdamState, Grads, Names, Optimizer, Rates, check_fits
 from framework.types import Gaussians
@@ -76,7 +76,7 @@ class Adam(Optimizer):
         self._banded |= work.degree > 0
         self._steps, self._coefficients[:] = steps, coefficients
         broken = np.zeros((BLOCKS, len(p)), dtype=np.int32)
-        means2d = aligned((len(params), 2))
+        (means2d,) = work.pulls.lend([(len(params), 2)])
         run_blocks(
             pull_back_and_step,
             p,
