@@ -48,7 +48,8 @@ class Item:
 
 
 class Items:
-    """Views at the present resolution; photos are kept, as they come again in every epoch.
+    """Views at their present resolution, kept while they are trained on: a pseudo view may live
+    for some epochs.
 
     Args:
         covered: a pseudo view's loss is the mean over the pixels in its mask, which is that over
@@ -63,16 +64,27 @@ class Items:
         smoothness: DepthSmoothness | None = None,
     ) -> None:
         self._covered, self._rasterizer, self._smoothness = covered, rasterizer, smoothness
-        self._photos: dict[str, tuple[int, Item]] = {}
+        self._kept: dict[tuple[bool, str], tuple[tuple[object, ...], View, Item]] = {}
+
+    def begin(self, pseudo: Sequence[View]) -> None:
+        """An epoch with these pseudo views: others are forgotten."""
+        names = {view.name for view in pseudo}
+        self._kept = {k: kept for k, kept in self._kept.items() if not k[0] or k[1] in names}
 
     def get(self, view: View, factor: int) -> Item:
         """`view` box-downsampled by `factor`."""
-        if view.pseudo:
-            small = _smaller_view(view, factor)
-            return self._item(_over_covered(small) if self._covered else small)
-        if self._photos.get(view.name, (0,))[0] != factor:
-            self._photos[view.name] = factor, self._item(_smaller_view(view, factor))
-        return self._photos[view.name][1]
+        key = view.pseudo, view.name
+        marks = (factor, *_marks(view)) if view.pseudo else (factor,)  # photos stay as they are
+        kept = self._kept.get(key)
+        if kept is None or kept[0] != marks:
+            # the view stays with them, as another could get the identity of one that went
+            kept = self._kept[key] = marks, view, self._made(view, factor)
+        return kept[2]
+
+    def _made(self, view: View, factor: int) -> Item:
+        small = _smaller_view(view, factor)
+        covered = self._covered and view.pseudo
+        return self._item(_over_covered(small) if covered else small)
 
     def _item(self, view: View) -> Item:
         device, smoothing = self._rasterizer.device, None
@@ -80,6 +92,14 @@ class Items:
         if self._smoothness is not None and not view.pseudo:
             smoothing = self._smoothness.weights(view).to(device)
         return Item(view, target, smoothing)
+
+
+def _marks(view: View) -> tuple[object, ...]:
+    """Values that change when a pseudo view changes."""
+    tensors = [tensor for tensor in (view.image, view.mask, view.depth) if tensor is not None]
+    # torch does not count writes into inference tensors: always taken as changed
+    written = [object() if t.is_inference() else (id(t), t._version) for t in tensors]
+    return len(tensors), id(view.camera), view.weight, view.tags, view.lens, *written
 
 
 def _smaller_view(view: View, factor: int) -> View:

@@ -223,6 +223,7 @@ class Trainer:
         if not self.queue:
             self.epoch += 1
             self.pseudo = self.field.plugins.pseudo_views(self._now())
+            self.items.begin(self.pseudo)
             self.queue = self._ordered()
         real, *pseudo = (
             self.items.get(view, schedule.downsampling(self.options, self.step, view))

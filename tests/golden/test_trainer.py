@@ -280,12 +280,37 @@ def test_a_small_pseudo_view_has_the_mean_of_what_was_warped() -> None:
     torch.testing.assert_close(warped.image, 0.6 * warped.mask.expand(3, 8, 8))
 
 
-def test_a_photo_is_made_ready_once_for_a_resolution() -> None:
+def test_a_view_is_made_ready_once_while_it_is_the_same() -> None:
+    """A pseudo view that lives for two epochs comes with new weights and tags in each."""
     image, camera = torch.full((3, 16, 16), 0.6), Camera(torch.eye(4), torch.eye(3), 16, 16)
-    items, photo = Items(), View("photo", camera, image)
-    first = items.get(photo, 2)
-    assert items.get(photo, 2) is first
-    assert items.get(photo, 1).view.image.shape == (3, 16, 16)
+    items, pseudo = Items(), View("pseudo-1", camera, image, torch.ones(16, 16), tags=(PSEUDO,))
+    first = items.get(pseudo, 2)
+    items.begin([pseudo])
+    assert items.get(replace(pseudo, tags=(PSEUDO,)), 2) is first
+    assert items.get(replace(pseudo, tags=("own", PSEUDO)), 2).view.tags == ("own", PSEUDO)
+    assert items.get(pseudo, 1) is not first
+    heavier = items.get(replace(pseudo, weight=2.0), 2)
+    assert heavier is not first and heavier.view.weight == 2
+    image.mul_(0.5)  # its plugin may change what is its own
+    torch.testing.assert_close(items.get(pseudo, 2).view.image, torch.full((3, 8, 8), 0.3))
+    with torch.inference_mode():  # as from a network: their writes are not counted
+        built = View("pseudo-1", camera, 0.5 * image, torch.ones(16, 16), tags=(PSEUDO,))
+    assert items.get(built, 2) is not items.get(built, 2)
+    items.begin([replace(pseudo, name="pseudo-3")])
+    assert not items._kept
+
+
+def test_a_training_forgets_the_pseudo_views_of_earlier_epochs() -> None:
+    @dataclass(frozen=True)
+    class Fresh(Augmenter):
+        def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
+            return [replace(ctx.views[0], name=f"pseudo-{ctx.epoch}")], state
+
+    trainer = _trainer(plugins(augment=ActivePlugin(Fresh())))
+    trainer.run()
+    assert trainer.epoch > 2
+    kept = {name for pseudo, name in trainer.items._kept if pseudo}
+    assert kept == {view.name for view in trainer.pseudo} and len(kept) == 1
 
 
 def test_coarse_views_keep_the_field_of_view() -> None:
