@@ -1,7 +1,5 @@
 """Every rasterizer gives what the kernels give: image, depth, radii, gradients, information."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

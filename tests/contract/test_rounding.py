@@ -1,8 +1,6 @@
 """What a training computes is rounded alike by every processor: no function comes from a library
 that rounds it by the processor, or by its maker (docs/bits.md)."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Depth made worse on purpose: the identity at 0, the stated error at 1, the same draws again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Poses that do not fit the photos are found before any training, and the repair is named."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 

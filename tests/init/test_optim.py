@@ -1,7 +1,5 @@
 """Adam against torch.optim.Adam, across thread counts, and through changes of the set."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 

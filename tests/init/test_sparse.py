@@ -1,7 +1,5 @@
 """`init=sparse`, the background colours and the registry of initialisations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Binocular consistency: the gradient, where the camera is, and when."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -5,8 +5,6 @@ reference, its outer products summed. The scenes keep away from the blending thr
 pixel more or less is lawful.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which tiles a Gaussian touches, against a scalar twin, and never more than its box covers."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """NeRF's layout of rendered objects: the literature's views, the paper behind them, every error."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math

@@ -1,7 +1,5 @@
 """The DTU loader: calibration, masks of tests and training, and every error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Photos without poses: the search, and what is kept of it."""
 
-from __future__ import annotations
-
 import errno
 import json
 import logging

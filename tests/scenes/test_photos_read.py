@@ -1,7 +1,5 @@
 """Photos without poses: which are read, how, and what is refused."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

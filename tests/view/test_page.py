@@ -1,7 +1,5 @@
 """The page of a run: what is in it and what is not, and what is said against unsound runs."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib

@@ -1,7 +1,5 @@
 """The embedded scene for warping: exact depth of its training views, its truth at any camera."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 
