@@ -9,8 +9,6 @@ Plugins are found in the `plugins/` folder and in installed packages with the en
 processes, so `discover` is cheap to call again.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib

@@ -1,7 +1,5 @@
 """No test depends on the user's cache; a missing kernel cache is reported."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Real scenes for tests: the folder `shared/data/open` beside the checkout, if it is there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -27,7 +27,7 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from framework.compute.parallel import threads
-from framework.depth.matching.bounds import FARTHER, NEARER
+from framework.depth.matching.neighbours import FARTHER, NEARER
 from framework.depth.providers import PlaneSweep
 from framework.types import Camera, SparsePoints, TrainingSet, View
 

@@ -41,11 +41,11 @@ def equality(name: str) -> list[str]:
         seen = who.render(case.gaussians, case.camera, **how(case)).to("cpu")
         placed = case.gaussians.to(who.device)
         photo = torch.full((3, *at.shape), 0.4)
-        target = who.target(photo, at.float())
+        target = who.losses().target(photo, at.float(), who.device)
         gradient = who.render_gradient(
             placed,
             case.camera,
-            lambda rgb: who.loss_gradient(rgb, target, 0.2, 1.0)[1],
+            lambda rgb: who.losses().loss_gradient(rgb, target, 0.2, 1.0)[1],
             **how(case),
         )
         tensors, means2d = gradient.pull_back()

@@ -132,7 +132,7 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     target, weights = Target.of(photo.image), DepthSmoothness(SMOOTH, 0.1).weights(photo)
     optimizer = Adam(gaussians)
     loss_of = watch.wrap("loss", photometric_gradient)
-    pull_of = watch.wrap("roughness", NUMBA.roughness_gradient)
+    pull_of = watch.wrap("roughness", NUMBA.losses().roughness_gradient)
     update = watch.wrap("update", optimizer.step_from)
 
     def step() -> None:

@@ -5,8 +5,6 @@
 Importing this package loads neither torch nor numba.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

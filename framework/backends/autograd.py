@@ -1,5 +1,5 @@
-"""The common part of rasterizers whose gradients are autograd's: loss, gradient and Fisher
-information in torch, on any device."""
+"""The common part of rasterizers whose gradients are autograd's: loss and gradient in torch, on any
+device."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from framework.backends.contract import DepthGradient, Rasterizer, RenderGradien
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from framework.fisher.information import FisherInformation
-    from framework.types import Camera, Gaussians, Render
+    from framework.types import Camera, Gaussians
 
 
 @dataclass(frozen=True)
@@ -74,36 +73,7 @@ class ByAutograd(Rasterizer):
             gaussians, render.radii, dict(zip(tensors, gradients, strict=True)), means2d
         )
 
-    def fisher(self, gaussians: Gaussians, camera: Camera, **how: Any) -> FisherInformation:
-        from framework.fisher.in_torch import fisher_in_torch
+    def losses(self) -> Any:
+        from framework.backends import torch_loss
 
-        return fisher_in_torch(gaussians.to(self.device), camera, **how)
-
-    def target(self, image: Tensor, mask: Tensor | None) -> Any:
-        from framework.backends.torch_loss import TorchTarget
-
-        return TorchTarget.of(image, mask, self.device)
-
-    def loss(self, rgb: Tensor, target: Any, ssim_weight: float) -> Tensor:
-        from framework.backends.torch_loss import photometric_loss
-
-        return photometric_loss(rgb, target, ssim_weight)
-
-    def loss_gradient(
-        self, rgb: Any, target: Any, ssim_weight: float, weight: float
-    ) -> tuple[float, Any]:
-        from framework.backends.torch_loss import loss_gradient
-
-        return loss_gradient(rgb, target, ssim_weight, weight)
-
-    def roughness_gradient(self, alpha: Any, depth: Any, weights: Tensor) -> tuple[Any, Any]:
-        from framework.backends.torch_loss import roughness_gradient
-
-        return roughness_gradient(alpha, depth, weights)
-
-    def binocular_gradient(
-        self, alpha: Any, depth: Any, beside: Render, target: Any, *numbers: float
-    ) -> tuple[Any, Any, Any]:
-        from framework.backends.torch_loss import binocular_gradient
-
-        return binocular_gradient(alpha, depth, beside, target, *numbers)
+        return torch_loss

@@ -114,61 +114,14 @@ class Rasterizer(ABC):
                 added.
         """
 
-    @abstractmethod
-    def fisher(
-        self,
-        gaussians: Gaussians,
-        camera: Camera,
-        *,
-        background: Tensor | None = None,
-        sh_degree: int | None = None,
-        near: float = 0.01,
-        mask: Tensor | None = None,
-    ) -> FisherInformation:
-        """Information of the camera's image on each Gaussian, on the CPU; see
-        `framework.fisher.information`.
+    def fisher(self, gaussians: Gaussians, camera: Camera, **options: Any) -> FisherInformation:
+        """Information of the camera's image on each Gaussian, by the kernels on the CPU; see
+        `framework.fisher.information`, which also has the options."""
+        from framework.fisher.information import fisher_information
 
-        Args:
-            mask: [H, W] on the CPU.
-        """
+        return fisher_information(gaussians.to("cpu"), camera, **options)
 
     @abstractmethod
-    def target(self, image: Tensor, mask: Tensor | None) -> Any:
-        """What the loss needs of a photo [3, H, W] and its mask [H, W], both on the CPU."""
-
-    @abstractmethod
-    def loss(self, rgb: Tensor, target: Any, ssim_weight: float) -> Tensor:
-        """The photometric loss of a render [3, H, W]; a differentiable scalar."""
-
-    @abstractmethod
-    def loss_gradient(
-        self, rgb: Any, target: Any, ssim_weight: float, weight: float
-    ) -> tuple[float, Any]:
-        """`loss` times `weight`, and its gradient in the render."""
-
-    @abstractmethod
-    def roughness_gradient(self, alpha: Any, depth: Any, weights: Tensor) -> tuple[Any, Any]:
-        """The gradient in alpha and depth [H, W], as `render` or `render_gradient` has them, of
-        `framework.kernels.roughness`.
-
-        Args:
-            weights: [2, H, W], on `device`.
-        """
-
-    @abstractmethod
-    def binocular_gradient(
-        self,
-        alpha: Any,
-        depth: Any,
-        beside: Render,
-        target: Any,
-        moves: float,
-        tolerance: float,
-        weight: float,
-    ) -> tuple[Any, Any, Any]:
-        """The gradients of `framework.kernels.binocular`, in alpha and depth [H, W], as `render` or
-        `render_gradient` has them, and in the colours of `beside`, which the moved camera sees.
-
-        Args:
-            target: the photo's.
-        """
+    def losses(self) -> Any:
+        """The module with the losses of this rasterizer's renders: the functions of
+        `framework.backends.torch_loss`, on images as `render` and `render_gradient` have them."""

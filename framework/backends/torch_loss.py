@@ -1,8 +1,6 @@
 """The photometric loss of `framework.kernels.losses`, and the gradient of
 `framework.kernels.roughness` and `binocular`, in torch, on any device."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 
@@ -32,15 +30,15 @@ class TorchTarget:
     mean: Tensor
     variance: Tensor
 
-    @staticmethod
-    def of(image: Tensor, mask: Tensor | None, device: str) -> TorchTarget:
-        """From an image [3, H, W] and an optional mask [H, W]."""
-        image = image.detach().to(device)
-        if mask is not None:
-            mask = mask.detach().to(device)
-            image = image * mask
-        mean = _blurred(image)
-        return TorchTarget(image, mask, mean, _blurred(image * image) - mean * mean)
+
+def target(image: Tensor, mask: Tensor | None, device: str) -> TorchTarget:
+    """What the loss needs of a photo [3, H, W] and its mask [H, W], both on the CPU."""
+    image = image.detach().to(device)
+    if mask is not None:
+        mask = mask.detach().to(device)
+        image = image * mask
+    mean = _blurred(image)
+    return TorchTarget(image, mask, mean, _blurred(image * image) - mean * mean)
 
 
 def photometric_loss(rgb: Tensor, target: TorchTarget, ssim_weight: float) -> Tensor:

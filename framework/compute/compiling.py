@@ -1,7 +1,5 @@
 """Notice when a kernel is really compiled, as one that the cache on disk has is only loaded."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Iterator

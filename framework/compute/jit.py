@@ -10,8 +10,6 @@ slowed down. With all 512 the loops that it vectorises by itself take less time,
 those of stereo above all; no bit depends on it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -5,8 +5,6 @@ functions over a block `(index, n_blocks)` that a small pool calls. Every block 
 outputs, hence results do not depend on the number of threads.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import threading

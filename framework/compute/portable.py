@@ -6,8 +6,6 @@ code for SSE, FMA, AVX2 and AVX-512. Here they are made of the former, in one or
 few units in the last place of float64.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -15,11 +13,12 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic as numba_intrinsic
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+# product and others: what plugins take from here
+from framework.compute.elementary import Array, arctan, inverse, product, sinc_cosine  # noqa: F401
 from framework.compute.jit import inlined, kernel
 
-Array = NDArray[np.float64]
 _intrinsic: Any = numba_intrinsic
 
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # 33 bits, the rest
@@ -32,7 +31,7 @@ _LOG = tuple(2 / (2 * k + 1) for k in range(10, -1, -1))  # of 2 artanh(s) / s, 
 
 
 @_intrinsic
-def _bits(typing_context, x):  # type: ignore[no-untyped-def]
+def _bits(typing_context, x):
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return builder.bitcast(values[0], ir.IntType(64))
 
@@ -40,7 +39,7 @@ def _bits(typing_context, x):  # type: ignore[no-untyped-def]
 
 
 @_intrinsic
-def _from_bits(typing_context, x):  # type: ignore[no-untyped-def]
+def _from_bits(typing_context, x):
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return builder.bitcast(values[0], ir.DoubleType())
 
@@ -48,7 +47,7 @@ def _from_bits(typing_context, x):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def exp_of(x: float) -> float:
+def exp_of(x):
     """e^x of a float64, in kernels."""
     if not (x <= LARGEST):
         return x * np.inf if x > 0 else x  # NaN stays
@@ -66,7 +65,7 @@ def exp_of(x: float) -> float:
 
 
 @inlined
-def log_of(x: float) -> float:
+def log_of(x):
     """The natural logarithm of a float64, in kernels."""
     if not (x > 0) or x == np.inf:
         return -np.inf if x == 0 else (x if x == np.inf else np.nan)
@@ -87,7 +86,7 @@ def log_of(x: float) -> float:
 
 
 @inlined
-def power_of(x: float, y: float) -> float:
+def power_of(x, y):
     """x^y of x >= 0, in kernels."""
     if y == 1.0:
         return x
@@ -95,19 +94,19 @@ def power_of(x: float, y: float) -> float:
 
 
 @kernel
-def _exp(x: Any, out: Any) -> None:
+def _exp(x, out):
     for i in range(len(x)):
         out[i] = exp_of(x[i])
 
 
 @kernel
-def _log(x: Any, out: Any) -> None:
+def _log(x, out):
     for i in range(len(x)):
         out[i] = log_of(x[i])
 
 
 @kernel
-def _log1p(x: Any, out: Any) -> None:
+def _log1p(x, out):
     for i in range(len(x)):
         more = 1.0 + x[i]
         out[i] = log_of(more)
@@ -116,13 +115,13 @@ def _log1p(x: Any, out: Any) -> None:
 
 
 @kernel
-def _power(x: Any, y: float, out: Any) -> None:
+def _power(x, y, out):
     for i in range(len(x)):
         out[i] = power_of(x[i], y)
 
 
 @kernel
-def _powers(x: Any, y: Any, out: Any) -> None:
+def _powers(x, y, out):
     for i in range(len(x)):
         out[i] = power_of(x[i], y[i])
 
@@ -170,73 +169,19 @@ def logit(p: ArrayLike) -> Array:
     return log(p) - log1p(-np.asarray(p, np.float64))
 
 
-def arctan(x: ArrayLike) -> Array:
-    """The angle in radians, float64 of the shape of x. Three halvings, then the series."""
-    values = np.array(x, np.float64)
-    with np.errstate(divide="ignore"):
-        rest = np.where(np.abs(values) > 1, 1 / values, values)
-    for _ in range(3):
-        rest = rest / (1 + np.sqrt(1 + rest * rest))
-    square, series = rest * rest, np.zeros_like(rest)
-    for k in range(14, -1, -1):
-        series = series * -square + 1 / (2 * k + 1)
-    angle = 8 * rest * series
-    return np.where(np.abs(values) > 1, np.copysign(np.pi / 2, values) - angle, angle)
-
-
-def sinc_cosine(square: Any) -> Any:
-    """(sin x / x, cos x) of x whose square is given, up to a few turns: a number, or a tensor whose
-    gradient is wanted. Three halvings of x, then the series."""
-    a = square / 64
-    sinc = cosine = 1.0
-    for k in range(9, 0, -1):
-        sinc = 1 - sinc * a / (2 * k * (2 * k + 1))
-        cosine = 1 - cosine * a / (2 * k * (2 * k - 1))
-    for _ in range(3):
-        sinc, cosine = sinc * cosine, 1 - 2 * a * sinc * sinc
-        a = 4 * a
-    return sinc, cosine
-
-
-def product(a: ArrayLike, b: ArrayLike) -> Array:
-    """a @ b of small float64 matrices [..., n, m] and [..., m, k], or of a vector b [m], summed in
-    the order of m."""
-    x, y = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    if y.ndim == 1:
-        return product(x, y[:, None])[..., 0]
-    total = x[..., :, :1] * y[..., :1, :]
-    for k in range(1, x.shape[-1]):
-        total = total + x[..., :, k : k + 1] * y[..., k : k + 1, :]
-    return total
-
-
-def inverse(matrix: ArrayLike) -> Array:
-    """[3, 3] float64 inverse by cofactors; of [4, 4] with a last row (0, 0, 0, 1), too."""
-    m = np.asarray(matrix, np.float64)
-    if m.shape == (4, 4):
-        out = np.eye(4)
-        out[:3, :3] = inverse(m[:3, :3])
-        out[:3, 3] = -product(out[:3, :3], m[:3, 3])
-        return out
-    (a, b, c), (d, e, f), (g, h, i) = m
-    first = (e * i - f * h, f * g - d * i, d * h - e * g)
-    determinant = a * first[0] + b * first[1] + c * first[2]
-    rows = [
-        [first[0], c * h - b * i, b * f - c * e],
-        [first[1], a * i - c * g, c * d - a * f],
-        [first[2], b * g - a * h, a * e - b * d],
-    ]
-    return np.array(rows) / determinant
-
-
-def log_det(blocks: ArrayLike) -> Array:
-    """[N] log determinants of positive definite blocks [N, D, D], by the pivots of L D L^T."""
+def log_det(blocks: ArrayLike, more: ArrayLike = 0.0) -> Array:
+    """[N] log determinants by the pivots of L D L^T of blocks [N, D, D] with `more` [N, D] >= 0 on
+    their diagonals. The blocks are positive semi-definite, so no pivot is below it; rounding that
+    says otherwise is corrected.
+    """
     a = np.array(np.moveaxis(np.asarray(blocks, np.float64), 0, -1), order="C")  # lanes: blocks
     total = np.zeros(a.shape[-1])
+    least = np.broadcast_to(np.asarray(more, np.float64), a.shape[:0:-1])
     for i in range(len(a)):
-        total += log(a[i, i])
+        pivot = np.maximum(a[i, i] + least[:, i], least[:, i])
+        total += log(pivot)
         for row in range(i + 1, len(a)):
-            factor = a[row, i] / a[i, i]
+            factor = a[row, i] / pivot
             for col in range(i + 1, row + 1):
                 a[row, col] -= factor * a[col, i]
     return total

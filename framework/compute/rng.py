@@ -4,8 +4,6 @@ A stream is fixed by (seed, purpose, step): adding a plugin or a purpose moves n
 resumed run draws what an uninterrupted one would.
 """
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

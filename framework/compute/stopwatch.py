@@ -1,7 +1,5 @@
 """Wall-clock and CPU seconds of a work that pauses, or that another process began."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -6,8 +6,6 @@ the processor's, which IEEE 754 defines; the others are `framework.compute.porta
 the tensor's type. Gradients are those of the definitions. On other devices they are PyTorch's.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 from typing import Any

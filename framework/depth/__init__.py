@@ -1,15 +1,13 @@
 """Depth of the training views, and what follows from it.
 
-A provider is a frozen dataclass of options derived from `provider.DepthProvider`. Its
+A provider is a frozen dataclass of options derived from `options.DepthProvider`. Its
 `measure(training)` returns a `framework.types.DepthMap` per training view, and
 `fingerprint(training)` hashes the files that it reads. `exposure` estimates from photos and depth
 how the photos were exposed; `pose_check` whether poses fit the photos. Importing this package loads
 neither torch nor numba.
 """
 
-from __future__ import annotations
-
-from framework.depth.provider import DepthProvider, unspoiled
+from framework.depth.options import DepthProvider, unspoiled
 from framework.depth.providers import PROVIDERS
 
 __all__ = [

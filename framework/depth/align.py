@@ -11,13 +11,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from framework.depth.transfer import inside, project
 from framework.errors import UserError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from framework.types import TrainingSet
 
 MIN_POINTS = {"scale": 8, "scale_shift": 16}

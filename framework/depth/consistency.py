@@ -5,27 +5,22 @@ at pixel x' with depth z'. The views agree if |z' / D'(x') - 1| < tolerance, D' 
 that contains x'. This is the left-right check of stereo, written for any pair of pinhole cameras.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
 
 from framework.compute.jit import kernel
 from framework.compute.parallel import run_blocks
 from framework.depth.transfer import pixel_transfer
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.types import Camera
+from framework.types import Camera, DepthMap, TrainingSet, View
 
 _F = np.float32
 
 
 @kernel
-def count_agreement(block, n_blocks, depth, other, A, t, tolerance, count):  # type: ignore[no-untyped-def]
+def count_agreement(block, n_blocks, depth, other, A, t, tolerance, count):
     """Kernel over rows: count[y, x] += 1 where `other` [h, w] confirms `depth` [H, W], both
     float32, 0 = unknown. A [3, 3], t [3] float32. count [H, W] int32."""
     height, width = depth.shape
@@ -46,6 +41,24 @@ def count_agreement(block, n_blocks, depth, other, A, t, tolerance, count):  # t
                 seen = other[np.int64(v), np.int64(u)]
                 if seen > _F(0.0) and abs(w / seen - _F(1.0)) < tolerance:
                     count[y, x] += 1
+
+
+def confirmed(
+    training: TrainingSet, depths: Sequence[NDArray[np.float32]], tolerance: float
+) -> list[NDArray[np.bool_]]:
+    """[H, W] of every view: whether any other view confirms its depth, see `agreeing_views`."""
+    cameras, indices = [view.camera for view in training.views], range(len(depths))
+    return [
+        agreeing_views(depths, cameras, i, [j for j in indices if j != i], tolerance) > 0
+        for i in indices
+    ]
+
+
+def depth_map(view: View, depth: NDArray[np.float32], score: NDArray) -> DepthMap:
+    """A view's map with the confidence `score`, which is 0 outside of its mask."""
+    confidence = torch.from_numpy(score.astype(np.float32))
+    masked = confidence if view.mask is None else confidence * (view.mask > 0)
+    return DepthMap(torch.from_numpy(depth), masked)
 
 
 def agreeing_views(

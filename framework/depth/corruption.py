@@ -16,24 +16,19 @@ not matter. At strength s in [0, 1]:
 The draws of a seed are the same at every strength: a sweep over strengths scales one error.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from framework.compute import portable
 from framework.compute.rng import stream
 from framework.types import DepthMap
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 NOISE, NOISE_LENGTH = 0.1, 0.01
 BIAS = 0.2

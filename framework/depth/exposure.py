@@ -27,26 +27,20 @@ A new view is exposed like the photos around it: its log gain is the mean of tho
 cameras, weighted by 1 / distance^2 (Shepard 1968). Test photos are not used.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
 
 from framework.compute.portable import exp, log
 from framework.depth.transfer import pixel_transfer
 from framework.geometry import distance
+from framework.types import Camera, DepthMap, View
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    from torch import Tensor
-
-    from framework.types import Camera, DepthMap, View
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 ENOUGH = 6  # photos
 NEAREST = 8  # photos that one is compared with, and that a new view is exposed like

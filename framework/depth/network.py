@@ -6,32 +6,25 @@ size, in the unit of the extrinsics, and a confidence >= 1. It treats camera dis
 0.1, so the poses are centred and scaled to a median distance of 1 from the centre.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from framework.depth.align import align, fit_scale
-from framework.depth.consistency import agreeing_views
+from framework.depth.consistency import confirmed
 from framework.depth.matching.sweep import sweep_views
-from framework.depth.options import DEPTH_ANYTHING_3, PlaneSweepOptions
+from framework.depth.options import DEPTH_ANYTHING_3, DepthAnything3Options, PlaneSweepOptions
 from framework.depth.read import resample
 from framework.errors import UserError, require
 from framework.files.whole import file_sha256
-from framework.types import DepthMap
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.depth.options import DepthAnything3Options
-    from framework.types import TrainingSet
+from framework.types import DepthMap, TrainingSet
 
 WHERE = "depth=depth_anything_3"
 FILES = ("config.json", "model.safetensors")
@@ -55,17 +48,14 @@ def predict_views(training: TrainingSet, options: DepthAnything3Options) -> tupl
     size = (training.views[0].camera.width, training.views[0].camera.height)
     sized = [resample(depth, *size) for depth in predicted.depth]
     depths = [d.astype(np.float32) for d in _in_scene_units(training, sized, options)]
-    cameras = [view.camera for view in training.views]
-    maps = []
-    for i, depth in enumerate(depths):
-        confidence = resample(predicted.confidence[i], *size) * (depth > 0)
-        if options.tolerance > 0 and len(depths) > 1:
-            others = [other for other in range(len(depths)) if other != i]
-            confidence *= agreeing_views(depths, cameras, i, others, options.tolerance) > 0
-        maps.append(
-            DepthMap(torch.from_numpy(depth), torch.from_numpy(confidence.astype(np.float32)))
-        )
-    return tuple(maps)
+    scores = [
+        resample(c, *size) * (d > 0) for c, d in zip(predicted.confidence, depths, strict=True)
+    ]
+    if options.tolerance > 0 and len(depths) > 1:
+        agreed = confirmed(training, depths, options.tolerance)
+        scores = [score * agrees for score, agrees in zip(scores, agreed, strict=True)]
+    each = zip(depths, scores, strict=True)
+    return tuple(DepthMap(*(torch.from_numpy(a.astype(np.float32)) for a in pair)) for pair in each)
 
 
 def predict(training: TrainingSet, options: DepthAnything3Options) -> Prediction:

@@ -6,8 +6,6 @@ smooth areas confirm each other there too. The check works on small copies of th
 cheap and does not depend on the depth provider.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

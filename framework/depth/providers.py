@@ -14,10 +14,10 @@ from framework.depth.options import (
     DEPTH_ANYTHING_3,
     DepthAnything3Options,
     DepthFileOptions,
+    DepthProvider,
     IterMvsOptions,
     PlaneSweepOptions,
 )
-from framework.depth.provider import DepthProvider
 from framework.errors import UserError, require
 
 if TYPE_CHECKING:

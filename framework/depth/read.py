@@ -1,17 +1,16 @@
 """Reading depth files: .npy, .npz (key `depth`) and 16-bit .png, one per training view."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from framework.depth.align import align
-from framework.depth.consistency import agreeing_views
+from framework.depth.consistency import confirmed
+from framework.depth.options import DepthFileOptions
 from framework.errors import UserError, require
 from framework.files.arrays import read_npy, read_npz
 from framework.files.limits import IMAGE_BYTES, IMAGE_PIXELS
@@ -20,11 +19,6 @@ from framework.files.paths import inside
 from framework.files.whole import file_sha256
 from framework.scenes.decoding import image_size
 from framework.types import DepthMap, TrainingSet, View
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.depth.options import DepthFileOptions
 
 SUFFIXES = (".npy", ".npz", ".png")
 ASPECT_TOLERANCE = 0.02
@@ -206,14 +200,12 @@ def read_view(
 def read_views(training: TrainingSet, options: DepthFileOptions) -> tuple[DepthMap, ...]:
     """See `providers.DepthFile.measure`."""
     files = find_files(training, options)
-    indices = range(len(training.views))
-    depths = [read_view(training, i, files[i], options) for i in indices]
-    cameras = [view.camera for view in training.views]
-    maps = []
-    for i, depth in enumerate(depths):
-        valid = depth > 0
-        if options.tolerance > 0:
-            others = [other for other in indices if other != i]
-            valid &= agreeing_views(depths, cameras, i, others, options.tolerance) > 0
-        maps.append(DepthMap(torch.from_numpy(depth), torch.from_numpy(valid.astype(np.float32))))
-    return tuple(maps)
+    depths = [read_view(training, i, file, options) for i, file in enumerate(files)]
+    known = [depth > 0 for depth in depths]
+    if options.tolerance > 0:
+        agreed = confirmed(training, depths, options.tolerance)
+        known = [valid & agrees for valid, agrees in zip(known, agreed, strict=True)]
+    return tuple(
+        DepthMap(torch.from_numpy(depth), torch.from_numpy(valid.astype(np.float32)))
+        for depth, valid in zip(depths, known, strict=True)
+    )

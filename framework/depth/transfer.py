@@ -14,12 +14,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from framework.compute.portable import inverse, product
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from framework.types import Camera
 
 

@@ -1,3 +1,1 @@
 """Fisher information of the Gaussians (`information`), and scores made from it (`scores`)."""
-
-__all__ = ["in_torch", "information", "scores"]

@@ -7,8 +7,6 @@ summed as squares. The unit is intensity^2 per squared parameter, with means in 
 noise variance of 1.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,8 +60,15 @@ def fisher_information(
     Raises:
         UserError: for wrong shapes and dtypes.
     """
-    n = len(gaussians)
-    pixels = np.empty((0, 0), np.float32) if mask is None else counted(mask, camera).numpy()
+    n, size = len(gaussians), (camera.height, camera.width)
+    pixels = np.empty((0, 0), np.float32)
+    if mask is not None:  # the kernel does not check bounds
+        require(
+            mask.dtype == torch.float32 and tuple(mask.shape) == size,
+            f"Fisher information: expected a float32 mask of shape {list(size)}, got {mask.dtype}"
+            f" {list(mask.shape)}; scale it as its camera is",
+        )
+        pixels = mask.detach().contiguous().numpy()
     work, image, _ = rendered(gaussians, camera, background, sh_degree, near)
     work.blend_moments(image, pixels)
     block, diagonal = work.blocks.lend([(n, 6, 6), (n, 14)])
@@ -71,14 +76,3 @@ def fisher_information(
     visible = torch.from_numpy(work.first[1:] > work.first[:-1])  # it has parts
     give_back(work)
     return FisherInformation(torch.from_numpy(block), torch.from_numpy(diagonal), visible)
-
-
-def counted(mask: Tensor, camera: Camera) -> Tensor:
-    """Check a mask against its camera and return it for the kernel, which does not check bounds."""
-    size = camera.height, camera.width
-    require(
-        mask.dtype == torch.float32 and tuple(mask.shape) == size,
-        f"Fisher information: expected a float32 mask of shape {list(size)}, got {mask.dtype}"
-        f" {list(mask.shape)}; scale it as its camera is",
-    )
-    return mask.detach().contiguous()

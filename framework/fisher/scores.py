@@ -9,8 +9,6 @@ trace below depends almost only on parameters that the reference view does not s
 All sums are numpy's, in float64 and on one thread, so the bits do not depend on the thread count.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -135,7 +133,8 @@ def _block_gain(gained: np.ndarray, reference: np.ndarray, prior: np.ndarray, fo
     `information_gains`."""
     floor = _floor(reference + gained, prior)
     if form == "log":
-        return 0.5 * float(np.sum(_log_det(reference + gained, floor) - _log_det(reference, floor)))
+        after, before = (portable.log_det(h, floor) for h in (reference + gained, reference))
+        return 0.5 * float(np.sum(after - before))
     lambdas = floor[:, :, None] * np.eye(prior.shape[0])
     return 0.5 * float(np.sum(portable.inverses(reference + lambdas) * gained))
 
@@ -210,7 +209,7 @@ def uncertainty(blocks: Tensor, visible: Tensor, extent: float, regulariser: flo
         scale = np.array([extent, extent, extent, 1.0, 1.0, 1.0])
         normalised = _float64(blocks)[seen] * (scale[:, None] * scale)
         prior = _floor(normalised, _block_prior(normalised, regulariser))
-        scores[seen] = -_log_det(normalised, prior)
+        scores[seen] = -portable.log_det(normalised, prior)
     return from_numpy(scores)
 
 
@@ -244,27 +243,6 @@ def _prior(diagonals: Sequence[np.ndarray], regulariser: float) -> np.ndarray:
     medians = np.array([median(k) for k in range(diagonals[0].shape[1])])
     floored = np.maximum(medians, ROUNDING * medians.max())
     return np.where(floored > 0, regulariser * floored, 1.0)
-
-
-def _log_det(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """[N] log det(F + diag(prior)), positive semi-definite F [N, D, D], prior [N, D], by the
-    pivots of L D L^T.
-
-    The Schur complements of F are non-negative, so no pivot of the sum is below its prior; rounding
-    that says otherwise is corrected.
-    """
-    size = prior.shape[1]
-    # [D, D, N]: one Gaussian per lane; a copy, also of one Gaussian's, which would be contiguous
-    a = np.array(np.moveaxis(blocks, 0, -1), order="C")
-    total = np.zeros(blocks.shape[0])
-    for i in range(size):
-        pivot = np.maximum(a[i, i] + prior[:, i], prior[:, i])
-        total += portable.log(pivot)
-        for row in range(i + 1, size):
-            factor = a[row, i] / pivot
-            for col in range(i + 1, row + 1):
-                a[row, col] -= factor * a[col, i]
-    return total
 
 
 def _float64(x: Tensor) -> np.ndarray:

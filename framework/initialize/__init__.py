@@ -8,22 +8,7 @@ where depth holds one map per training view. Importing this package is light (no
 `--help` lists the options.
 """
 
-from __future__ import annotations
-
-from framework.initialize.background import background_color, random_background
 from framework.initialize.sparse import Sparse
 from framework.initialize.stereo import Stereo
 
 INITIALIZERS: dict[str, type] = {"stereo": Stereo, "sparse": Sparse}
-
-__all__ = [
-    "INITIALIZERS",
-    "Sparse",
-    "Stereo",
-    "background_color",
-    "fusion",
-    "isotropic",
-    "random_background",
-    "sparse",
-    "stereo",
-]

@@ -7,13 +7,11 @@ no training view looks through it and it is outside the ball around the cameras:
 through that ball, and floaters in it would hide the scene.
 """
 
-from __future__ import annotations
-
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.ndimage import zoom
 
 from framework.compute.parallel import run_tasks
@@ -21,10 +19,7 @@ from framework.geometry import project
 from framework.initialize.fusion import Mapped, SurfacePixels, joined, surface_pixels
 from framework.initialize.sight import pushed_back
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 FAR_PREFERENCE = 2.0  # weight of a known pixel: its depth to this power
 STEPS = np.geomspace(1.0, 8.0, 9)  # tried factors on a guessed depth, nearest first

@@ -9,8 +9,6 @@ Views are processed from the most central to the outermost one. A pixel enters i
   whole pixels at thin foreground objects is no violation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields

@@ -1,7 +1,5 @@
 """Points to Gaussians: round, unrotated, of one opacity, coloured by the SH band 0 alone."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Unequal-probability sampling without replacement and of fixed size: systematic s
 randomly ordered list (Madow 1949) includes pixel i with exactly its probability p_i.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import uniform_filter
 

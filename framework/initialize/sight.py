@@ -5,11 +5,9 @@ a tolerance. It *looks through* the point if the nearest depth of 3 x 3 pixels i
 All is float64 with the operations of `framework.geometry` in the same order, for equal bits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -108,7 +106,7 @@ def pushed_back(
 
 
 @kernel
-def _pixel(cameras: Any, frames: Any, v: int, x: float, y: float, z: float) -> Any:
+def _pixel(cameras, frames, v, x, y, z):
     """(its index in the row of all pixels or -1, depth) of a place in view v."""
     c = x * cameras[v, 8] + y * cameras[v, 9] + z * cameras[v, 10] + cameras[v, 11]
     if not c > 0.0:
@@ -124,7 +122,7 @@ def _pixel(cameras: Any, frames: Any, v: int, x: float, y: float, z: float) -> A
 
 
 @kernel
-def _ray(cameras: Any, v: int, row: int, column: int) -> Any:
+def _ray(cameras, v, row, column):
     """Through the centre of a pixel, in the camera's axes, z = 1."""
     x, y = column + 0.5, row + 0.5
     return (
@@ -135,7 +133,7 @@ def _ray(cameras: Any, v: int, row: int, column: int) -> Any:
 
 
 @kernel
-def _place(cameras: Any, v: int, ray: Any, z: float) -> Any:
+def _place(cameras, v, ray, z):
     """The place at depth z on a ray of view v."""
     a, b, c = ray[0] * z, ray[1] * z, ray[2] * z
     return (
@@ -146,28 +144,17 @@ def _place(cameras: Any, v: int, ray: Any, z: float) -> Any:
 
 
 @kernel
-def _shows(depth: float, z: float, tolerance: float) -> bool:
+def _shows(depth, z, tolerance):
     return depth > 0.0 and abs(z - depth) < tolerance * depth
 
 
 @kernel
-def _looks_through(nearest: float, z: float, tolerance: float) -> bool:
+def _looks_through(nearest, z, tolerance):
     return nearest < np.inf and z < (1.0 - tolerance) * nearest
 
 
 @kernel
-def _unrepeated(
-    block: int,
-    blocks: int,
-    cameras: Any,
-    frames: Any,
-    depth: Any,
-    nearest: Any,
-    v: int,
-    tolerance: float,
-    places: Any,
-    chosen: Any,
-) -> None:
+def _unrepeated(block, blocks, cameras, frames, depth, nearest, v, tolerance, places, chosen):
     height, width = chosen.shape
     for row in range(height * block // blocks, height * (block + 1) // blocks):
         for column in range(width):
@@ -192,23 +179,23 @@ def _unrepeated(
 
 @kernel
 def _pushed_back(
-    block: int,
-    blocks: int,
-    cameras: Any,
-    frames: Any,
-    depth: Any,
-    nearest: Any,
-    v: int,
-    start: Any,
-    center: Any,
-    radius: float,
-    steps: Any,
-    tolerance: float,
-    guesses: Any,
-    same: float,
-    places: Any,
-    guessed: Any,
-) -> None:
+    block,
+    blocks,
+    cameras,
+    frames,
+    depth,
+    nearest,
+    v,
+    start,
+    center,
+    radius,
+    steps,
+    tolerance,
+    guesses,
+    same,
+    places,
+    guessed,
+):
     height, width = start.shape
     for row in range(height * block // blocks, height * (block + 1) // blocks):
         for column in range(width):

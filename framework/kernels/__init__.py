@@ -6,8 +6,6 @@ the same gradient without autograd, as training does. Results and gradients have
 any number of threads.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -21,24 +19,6 @@ from framework.errors import UserError
 from framework.kernels.lending import Lender
 from framework.kernels.pipeline import Arrays, Image, Workspace
 from framework.types import Camera, Gaussians, Render
-
-__all__ = [
-    "Arrays",
-    "ScreenGradient",
-    "Workspace",
-    "binocular",
-    "borrow",
-    "constants",
-    "give_back",
-    "lending",
-    "losses",
-    "project",
-    "rasterize",
-    "reference",
-    "render_gradient",
-    "rendered",
-    "roughness",
-]
 
 _NOTHING, _BLACK = np.empty((0, 0), np.float32), np.zeros(3, np.float32)
 _free: list[Workspace] = []  # workspaces not in use; two renders may be waiting for gradients

@@ -7,10 +7,7 @@ agrees with that of the shifted render. Elsewhere one surface hides the other, o
 depths is wrong.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -24,14 +21,14 @@ _NONE, _ZERO, _ONE, _WHOLE = (np.float32(x) for x in (-1, 0, 1, WHOLE))
 
 
 @inlined
-def _disparities(alpha: Any, depth: Any, into: Any) -> None:
+def _disparities(alpha, depth, into):
     """Inverse expected depth of a row; -1 where nothing is seen."""
     for x in range(len(into)):
         into[x] = alpha[x] / depth[x] if (alpha[x] > SEEN) & (depth[x] > _ZERO) else _NONE
 
 
 @inlined
-def _places(disparity: Any, shifted: Any, mask: Any, numbers: Any, left: Any, share: Any) -> None:
+def _places(disparity, shifted, mask, numbers, left, share):
     """Fill, for every pixel of a row, the pixel to its left in the shifted render, the fraction
     to the next one, and into `disparity` its weight (0 if it does not count).
     """
@@ -52,9 +49,7 @@ def _places(disparity: Any, shifted: Any, mask: Any, numbers: Any, left: Any, sh
 
 
 @inlined
-def _pull(
-    rgb: Any, photo: Any, weights: Any, left: Any, share: Any, in_rgb: Any, slope: Any
-) -> None:
+def _pull(rgb, photo, weights, left, share, in_rgb, slope):
     """One colour of a row: the gradient in what is seen from beside, and added to `slope` how the
     loss moves with the place where a pixel is seen."""
     to_right = np.uint32(len(weights) > 1)
@@ -70,22 +65,22 @@ def _pull(
 
 @kernel
 def binocular_rows(
-    block: int,
-    blocks: int,
-    alpha: Any,
-    depth: Any,
-    rgb_beside: Any,
-    alpha_beside: Any,
-    depth_beside: Any,
-    photo: Any,
-    mask: Any,
-    moves: Any,
-    tolerance: Any,
-    weight: Any,
-    in_alpha: Any,
-    in_depth: Any,
-    in_rgb: Any,
-) -> None:
+    block,
+    blocks,
+    alpha,
+    depth,
+    rgb_beside,
+    alpha_beside,
+    depth_beside,
+    photo,
+    mask,
+    moves,
+    tolerance,
+    weight,
+    in_alpha,
+    in_depth,
+    in_rgb,
+):
     """Compute a range of rows of the gradients; the arguments are those of `binocular_gradient`."""
     height, width = alpha.shape
     disparity, disparity_beside = np.empty(width, np.float32), np.empty(width, np.float32)

@@ -20,7 +20,7 @@ _FLOATS = LINE // 4
 _KEPT = 4  # buffers at most
 
 
-def aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+def aligned(shape: tuple[int, ...], dtype: Any = np.float32) -> np.ndarray:
     """Uninitialised and on a cache line, as `np.empty` is not: a row of 16 floats that lies across
     two lines is prefetched by halves and loaded twice."""
     count = math.prod(shape) * np.dtype(dtype).itemsize
@@ -38,7 +38,7 @@ class _Buffer:
     """Memory and the arrays in it, which are kept as long as their shapes stay the same."""
 
     def __init__(self) -> None:
-        self._flat = aligned((0,), np.float32)
+        self._flat = aligned((0,))
         self._shapes: list[tuple[int, ...]] = []
         self._arrays: list[np.ndarray] = []
         self._unheld = self._references()

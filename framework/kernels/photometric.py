@@ -15,10 +15,6 @@ still need. Rows outside the image are zero. S is a whole number of vectors; val
 finite and unused.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
 from framework.compute import portable
@@ -46,7 +42,7 @@ def stride(width: int) -> int:
 
 
 @inlined
-def _window(source: Any, at: int, step: int) -> Any:
+def _window(source, at, step):
     """Sum of WINDOW x source[at], source[at + step] ... source[at + 10 step], sixteen at a time."""
     total = splat(_W5) * load(source, at + 5 * step)
     total = fma(splat(_W4), load(source, at + 4 * step) + load(source, at + 6 * step), total)
@@ -57,7 +53,7 @@ def _window(source: Any, at: int, step: int) -> Any:
 
 
 @kernel
-def _sum(values: Any) -> Any:
+def _sum(values):
     """Sum of a flat array whose length is a multiple of 16, in a fixed order."""
     total = zeros()
     for i in range(0, len(values), 16):
@@ -68,7 +64,7 @@ def _sum(values: Any) -> Any:
 
 
 @kernel
-def _across(padded: Any, rows: Any, i: int) -> None:
+def _across(padded, rows, i):
     """Horizontal blurs of three padded rows into row i of the three planes of `rows`."""
     source, length, wide = padded.reshape(-1), padded.shape[1], rows.shape[2]
     target = rows.reshape(-1)
@@ -79,9 +75,7 @@ def _across(padded: Any, rows: Any, i: int) -> None:
 
 
 @kernel
-def _blur_image(
-    a: Any, b: Any, mask: Any, first: int, count: int, padded: Any, rows: Any, to: int
-) -> None:
+def _blur_image(a, b, mask, first, count, padded, rows, to):
     """Rows first ... first + count - 1 of (mask a), (mask a)^2 and (mask a) b, horizontally blurred
     into `rows` from row `to` on; b is already masked."""
     height, width = a.shape
@@ -101,7 +95,7 @@ def _blur_image(
 
 
 @kernel
-def _keep_last(rows: Any, count: int) -> None:
+def _keep_last(rows, count):
     """Move the last REACH of count + REACH rows to the front."""
     for k in range(3):
         for i in range(REACH):
@@ -109,7 +103,7 @@ def _keep_last(rows: Any, count: int) -> None:
 
 
 @kernel
-def _down(rows: Any, count: int, windows: Any) -> None:
+def _down(rows, count, windows):
     """Vertical blurs: row i of the three planes of `windows` from rows i ... i + 10 of `rows`, by
     strips of columns that stay in the first cache."""
     source, target, wide = rows.reshape(-1), windows.reshape(-1), rows.shape[2]
@@ -122,9 +116,7 @@ def _down(rows: Any, count: int, windows: Any) -> None:
 
 
 @kernel
-def _ssim_row(
-    blurred: Any, i: int, mean: Any, variance: Any, values: Any, padded: Any, width: int
-) -> None:
+def _ssim_row(blurred, i, mean, variance, values, padded, width):
     """SSIM of a row into `values`, its partial derivatives into `padded`; row i of `blurred` are
     its blurs, mean and variance are the target's."""
     flat, wide = blurred.reshape(-1), blurred.shape[2]
@@ -152,19 +144,8 @@ def _ssim_row(
 
 @kernel
 def _partial_rows(
-    blurred: Any,
-    first: int,
-    count: int,
-    counted: Any,
-    target: Any,
-    width: int,
-    windows: Any,
-    derived: Any,
-    values: Any,
-    partials: Any,
-    to: int,
-    sums: Any,
-) -> None:
+    blurred, first, count, counted, target, width, windows, derived, values, partials, to, sums
+):
     """Blur the partial derivatives of a range of rows horizontally, and sum SSIM for each row.
 
     Rows first ... first + count - 1 of the band go into `partials` from row `to` on.
@@ -185,7 +166,7 @@ def _partial_rows(
 
 
 @kernel
-def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, gradient: Any) -> None:
+def _gradient_row(windows, i, near, pulls, values, gradient):
     """Write |mask a - b| of a row into `values`, and compute its gradient.
 
     Row i of `windows` has the blurs of its partial derivatives. near: the row of a, b and mask.
@@ -204,7 +185,7 @@ def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, grad
 
 
 @kernel
-def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: Any) -> None:
+def statistics(block, blocks, b, mask, mean, variance):
     """Compute mean and variance [C, H, S] of the windows of a target b [C, H, W].
 
     Args:
@@ -236,19 +217,8 @@ def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: 
 
 @kernel
 def loss_and_gradient(
-    block: int,
-    blocks: int,
-    a: Any,
-    b: Any,
-    mask: Any,
-    mean: Any,
-    variance: Any,
-    ssim_weight: Any,
-    scale: Any,
-    ssim_sums: Any,
-    l1_sums: Any,
-    gradient: Any,
-) -> None:
+    block, blocks, a, b, mask, mean, variance, ssim_weight, scale, ssim_sums, l1_sums, gradient
+):
     """Compute the loss of an image a [C, H, W] against a masked target b with its `statistics`.
 
     SSIM and |mask a - b| are summed per row, [C, H] each. The gradient [C, H, W] in a is that of

@@ -4,8 +4,6 @@
 brings its gradient to the parameters. A workspace belongs to one render until its gradient is done.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -64,10 +62,10 @@ def camera_row(camera: Camera, near: float) -> np.ndarray:
 
 
 class Workspace:
-    """Buffers for renders of up to some number of Gaussians and tile entries."""
+    """Buffers for renders, which stay while the number of Gaussians does."""
 
     def __init__(self) -> None:
-        self._capacity = -1
+        self._n = -1
         self.items = np.empty(0, np.int32)
         self.lists = np.empty((0, 2), np.int32)
         self.parts = np.empty((0, 2), np.int32)
@@ -87,10 +85,10 @@ class Workspace:
         self._tiles = columns, bands
         n_strips = min(binning.STRIPS, columns)
         self.strips = np.tile(np.arange(columns, dtype=np.int32) * n_strips // columns, bands)
-        self.histogram = np.empty((BLOCKS, columns * bands), np.int32)
-        self.offsets = np.empty(columns * bands + 1, np.int32)
-        self.strip_items = np.empty((BLOCKS, n_strips), np.int32)
-        self.strip_parts = np.empty((BLOCKS, n_strips), np.int32)
+        tiles = columns * bands
+        sizes = tiles, n_strips, n_strips
+        self.counts = tuple(np.empty((BLOCKS, size), np.int32) for size in sizes)
+        self.offsets = np.empty(tiles + 1, np.int32)
         self.bounds = np.empty(n_strips + 1, np.int32)
         self.n_slots = np.empty(n_strips, np.int32)
 
@@ -100,21 +98,14 @@ class Workspace:
                 f"rasterize: expected at most {binning.MAX_GAUSSIANS} Gaussians, got {n}; lower"
                 " init.budget or use a capacity plugin that prunes"
             )
-        if n > self._capacity:
-            self._capacity = n + n // 4
-            size = self._capacity
-            self._rows = aligned((size, ROW), np.float32)
-            self._clipped = np.empty(size, np.uint8)
-            self._bound, self._start = np.empty(size, np.int32), np.empty(size + 1, np.int32)
-            self._touched, self._n_parts = np.empty(size, np.int32), np.empty(size, np.int32)
-            self._first = np.empty(size + 1, np.int32)
-            self._order = np.empty(size, np.int32)
-            self._keys, self._spare = np.empty(size, np.uint64), np.empty(size, np.uint64)
-        self.rows, self.clipped = self._rows[:n], self._clipped[:n]
-        self.bound, self.start = self._bound[:n], self._start[: n + 1]
-        self.touched, self.first = self._touched[:n], self._first[: n + 1]
-        self.n_parts = self._n_parts[:n]
-        self.order, self.keys, self.spare = self._order[:n], self._keys[:n], self._spare[:n]
+        if n == self._n:
+            return
+        self._n = n
+        self.rows, self.clipped = aligned((n, ROW)), np.empty(n, np.uint8)
+        self.bound, self.touched = np.empty(n, np.int32), np.empty(n, np.int32)
+        self.n_parts, self.order = np.empty(n, np.int32), np.empty(n, np.int32)
+        self.start, self.first = np.empty(n + 1, np.int32), np.empty(n + 1, np.int32)
+        self.keys, self.spare = np.empty(n, np.uint64), np.empty(n, np.uint64)
 
     def project(
         self, arrays: Arrays, camera: Camera, degree: int, near: float, radii: np.ndarray
@@ -148,53 +139,16 @@ class Workspace:
 
     def bin(self) -> None:
         """The tiles' lists, front to back, and the strips' lists of parts."""
-        entries = int(self.start[self.n_visible])
-        self.items = grown(self.items, entries)
-        run_blocks(
-            binning.count_tiles,
-            self.n_visible,
-            self.order,
-            self.rows,
-            self.start,
-            self.width,
-            self.height,
-            self.strips,
-            self.items,
-            self.touched,
-            self.n_parts,
-            self.histogram,
-            self.strip_items,
-            self.strip_parts,
-        )
-        binning.prefix_tiles(
-            self.n_visible,
-            self.order,
-            self.n_parts,
-            self.first,
-            self.histogram,
-            self.offsets,
-            self.strip_parts,
-            self.bounds,
-            self.strip_items,
-            self.n_slots,
-        )
+        n, size, first = self.n_visible, (self.width, self.height), self.first
+        listed = self.order, self.start, self.touched, self.n_parts
+        self.items = items = grown(self.items, int(self.start[n]))
+        run_blocks(binning.count_tiles, n, size, self.rows, self.strips, items, listed, self.counts)
+        ends = self.offsets, self.bounds, self.n_slots
+        binning.prefix_tiles(n, listed, first, self.counts, ends)
         self.lists = grown(self.lists, int(self.offsets[-1]))
         self.parts = grown(self.parts, int(self.bounds[-1]))
-        run_blocks(
-            binning.fill_tiles,
-            self.n_visible,
-            self.order,
-            self.start,
-            self.strips,
-            self.items,
-            self.touched,
-            self.first,
-            self.histogram,
-            self.strip_items,
-            self.strip_parts,
-            self.lists,
-            self.parts,
-        )
+        lists = self.lists, self.parts
+        run_blocks(binning.fill_tiles, n, self.strips, items, listed, first, self.counts, lists)
 
     def blend(self, background: np.ndarray, image: Image) -> None:
         """Render into `image`."""
@@ -230,7 +184,7 @@ class Workspace:
         """Slots for every thread that works on a strip, as many as the fullest has."""
         n, size = min(threads(), len(self.n_slots)), int(self.n_slots.max())
         kept[:] = [grown(slots, size) for slots in kept[:n]]
-        kept += [aligned((size + size // 4, 16), np.float32) for _ in range(n - len(kept))]
+        kept += [aligned((size + size // 4, 16)) for _ in range(n - len(kept))]
         return [slots.reshape(-1) for slots in kept]
 
     def _strips(self) -> tuple[Any, ...]:

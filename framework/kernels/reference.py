@@ -14,8 +14,6 @@ before the Gaussian that would bring its transmittance below 1e-4. M counts the 
 culling, P = H W the pixels, K the SH coefficients.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -51,17 +49,12 @@ class Footprints:
     def radii(self, width: int, height: int) -> Tensor:
         """[M] pixels: the larger half-side of the box outside which alpha < 1/255; 0 where that
         box holds no pixel centre of the image."""
-        sides, first, last = self.boxes(width, height)
-        return torch.where((first <= last).all(dim=1), sides.amax(dim=1), 0.0).detach()
-
-    def boxes(self, width: int, height: int) -> tuple[Tensor, Tensor, Tensor]:
-        """[M, 2] pixels of the boxes: half-sides, and the first and last pixel whose centre each
-        holds; the last is before the first where it holds none."""
         variances = self.cov2d.diagonal(dim1=1, dim2=2)
         sides = (2 * (self.opacities / ALPHA_MIN).log()[:, None] * variances).sqrt()
         end = sides.new_tensor([width - 1, height - 1])
         first = (self.means2d - sides - 0.5).ceil().clamp(min=0)
-        return sides, first, (self.means2d + sides - 0.5).floor().minimum(end)
+        last = (self.means2d + sides - 0.5).floor().minimum(end)
+        return torch.where((first <= last).all(dim=1), sides.amax(dim=1), 0.0).detach()
 
 
 def rasterize_reference(

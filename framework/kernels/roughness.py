@@ -7,10 +7,6 @@ expected depth d = alpha / depth. Pairs with an empty pixel do not count. The we
 Source: Godard et al. 2017, equation 3.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
 from framework.compute.jit import inlined, kernel
@@ -22,22 +18,14 @@ _NONE, _ZERO = np.float32(-1), np.float32(0)
 
 
 @inlined
-def _step(disparity: Any, other: Any, weight: Any) -> Any:
+def _step(disparity, other, weight):
     """w times the slope of |disparity - other|; a negative disparity means that nothing is seen."""
     slope = weight if disparity > other else (-weight if disparity < other else _ZERO)
     return slope if (disparity >= _ZERO) & (other >= _ZERO) else _ZERO
 
 
 @kernel
-def roughness_rows(
-    block: int,
-    blocks: int,
-    alpha: Any,
-    depth: Any,
-    weights: Any,
-    in_alpha: Any,
-    in_depth: Any,
-) -> None:
+def roughness_rows(block, blocks, alpha, depth, weights, in_alpha, in_depth):
     """A range of rows of the gradients in alpha and depth [H, W].
 
     Args:

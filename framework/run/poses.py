@@ -8,8 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 from framework.depth.pose_check import PoseCheck, check_poses
-from framework.scenes.conventions import repaired
-from framework.scenes.options import CONVENTIONS
+from framework.scenes.conventions import CONVENTIONS, repaired
 from framework.types import TrainingSet, View
 
 Remedy = tuple[str, Callable[[TrainingSet], TrainingSet]]

@@ -3,14 +3,11 @@
 Importing this package imports none of the heavy libraries; `load` does.
 """
 
-from __future__ import annotations
-
 from framework.scenes.blender import Blender
-from framework.scenes.colmap import Colmap
+from framework.scenes.colmap import Colmap, Mip360
 from framework.scenes.dtu import Dtu
 from framework.scenes.embedded import Embedded
 from framework.scenes.llff import Llff
-from framework.scenes.mip360 import Mip360
 from framework.scenes.photos import Photos
 from framework.scenes.splits import ALL, DRAWN, HELD_OUT, UNTESTED, published_split, untested
 from framework.scenes.transforms import Transforms
@@ -27,7 +24,6 @@ __all__ = [
     "decoding",
     "images",
     "lens",
-    "options",
     "published_split",
     "transforms_file",
     "untested",

@@ -13,17 +13,20 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from framework.compute import portable
 from framework.errors import require
-from framework.files.limits import MODEL_CELLS
-from framework.scenes.cameras import check_bounds, check_places, check_rounding, checked_pose
+from framework.scenes.cameras import (
+    center_of,
+    check_bounds,
+    check_places,
+    check_rounding,
+    checked_pose,
+)
+from framework.scenes.placement import placement
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from framework.types import Scene, SparsePoints, View
-
 
 log = logging.getLogger(__name__)
 
@@ -93,20 +96,6 @@ class Tracks:
         seen = self.seen[:, list(train)]
         keep = seen.sum(axis=1) >= 2
         return Tracks(self.xyz[keep], self.rgb[keep], seen[keep])
-
-
-def untracked(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], images: int) -> Tracks:
-    """Points without a track.
-
-    Raises:
-        UserError: for too many.
-    """
-    require(
-        len(xyz) * images <= MODEL_CELLS,
-        f"points: expected at most {MODEL_CELLS:,} points x images, got {len(xyz) * images:,};"
-        " thin out the points",
-    )
-    return Tracks(xyz, rgb, np.zeros((len(xyz), images), dtype=bool))
 
 
 def intrinsics(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
@@ -181,9 +170,7 @@ def _points(tracks: Tracks) -> SparsePoints:
 
 def _centers(shots: Sequence[Shot]) -> NDArray[np.float64]:
     """[n, 3] camera centres in the world."""
-    poses = [shot.viewmat for shot in shots]
-    centers = [-portable.product(pose[:3, :3].T, pose[:3, 3]) for pose in poses]
-    return np.array(centers).reshape(-1, 3)
+    return np.array([center_of(shot.viewmat) for shot in shots]).reshape(-1, 3)
 
 
 def _fingerprint(
@@ -243,7 +230,6 @@ def assemble(
     Raises:
         UserError: a shot or a bound is invalid.
     """
-    from framework.scenes.placement import placement
     from framework.types import Scene, TrainingSet
 
     where, both = f"scene {name}", [*train, *test]

@@ -9,26 +9,31 @@ files. `split=file` is for your own objects: training views are evenly spaced in
 all photos of the other are test views.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from framework.compute.elementary import inverse, product
 from framework.errors import require
 from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.scenes.options import check_choice, check_folder_options
-from framework.scenes.splits import BLENDER_FILES, FILES, file_protocol, protocol, untested
+from framework.scenes.assemble import Tracks
+from framework.scenes.layout import FolderScene, Listing
+from framework.scenes.splits import (
+    BLENDER_FILES,
+    FILES,
+    Split,
+    file_protocol,
+    protocol,
+    untested,
+)
 from framework.scenes.transforms import PAPERS
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from framework.scenes.splits import Split
-    from framework.types import Scene
+from framework.scenes.transforms_file import read_in_order, with_photos
 
 log = logging.getLogger(__name__)
 
@@ -37,38 +42,29 @@ TRAINING, TESTING = "transforms_train.json", "transforms_test.json"
 
 
 @dataclass(frozen=True)
-class Blender:
+class Blender(FolderScene):
     """Options of `scene=blender`.
 
     Attributes:
         near, far: depth bounds in scene units, between which the object lies.
     """
 
-    path: str  # folder of the scene
+    layout: ClassVar[str] = "blender"
+    splits_by_file: ClassVar[bool] = True
+
     n_views: int | str = 8  # training views; all = every one that is not for testing
     downscale: int = 2  # photos are reduced by it, averaging boxes of pixels; 2 = papers' 400x400
-    paper: str = "white"  # background of transparent photos: white, black
     near: float = 2.0
     far: float = 6.0
     split: str = "blender"  # which views train and which test: blender, file; none = no test
+    paper: str = "white"  # background of transparent photos: white, black
     poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        check_folder_options("blender", self, files=True)
-        check_choice("blender", "paper", self.paper, tuple(PAPERS))
+        super().__post_init__()
+        self.expect_choice("paper", tuple(PAPERS))
 
-    def load(self) -> Scene:
-        """Load the scene.
-
-        Raises:
-            UserError: if files and photos do not fit together.
-        """
-        from framework.scenes.assemble import Tracks, assemble
-        from framework.scenes.images import scene_folder
-        from framework.scenes.photo import read_shots
-        from framework.scenes.transforms_file import read_in_order, with_photos
-
-        folder = scene_folder("blender", self.path)
+    def listing(self, folder: Path) -> Listing:
         first = read_in_order(inside(folder, TRAINING), self.poses)
         without_tests = untested(self.split) and not is_file(folder / TESTING)
         second = [] if without_tests else read_in_order(inside(folder, TESTING), self.poses)
@@ -82,12 +78,20 @@ class Blender:
         frames = with_photos(folder / TRAINING, [*first, *second])
         missing = {*range(len(first) + len(second))} - {*frames}
         split = self._split(len(first), len(first) + len(second), missing, where)
-        paper = PAPERS[self.paper]
-        train, test = read_shots(lambda i: frames[i].photo(), split, self.downscale, paper)
-        name = folder.resolve().name
-        _warn_of_depths([s.viewmat for s in (*train, *test)], self.near, self.far, str(folder))
-        bounds = self.near, self.far
-        return assemble(name, self.split, train, test, Tracks(), *bounds, paper / 255)
+        used = [frames[i].viewmat for i in (*split.train, *split.test)]
+        _warn_of_depths(used, self.near, self.far, str(folder))
+        existing = [*frames.values()]
+        return Listing(
+            folder.resolve().name,
+            where,
+            [frame.viewmat for frame in existing],
+            lambda i: existing[i].photo(),
+            split.among([*frames]),
+            Tracks(),
+            self.near,
+            self.far,
+            PAPERS[self.paper],
+        )
 
     def _split(self, training: int, images: int, missing: set[int], where: str) -> Split:
         """Split `images` frames, the first `training` of which are of the training file."""
@@ -111,18 +115,13 @@ def _warn_of_depths(
     It has the least squared distance to all optical axes, and exists unless these are almost
     parallel. Cameras that look away from it do not surround an object.
     """
-    import numpy as np
-
-    from framework.compute import portable
-
     poses = np.array(viewmats)
     axes = poses[:, 2, :3]
     centers = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     if np.linalg.eigvalsh(across.mean(axis=0))[0] < PARALLEL:
         return
-    inverse = portable.inverse(across.sum(axis=0))
-    point = portable.product(inverse, np.einsum("nij,nj->i", across, centers))
+    point = product(inverse(across.sum(axis=0)), np.einsum("nij,nj->i", across, centers))
     depths = (axes * (point - centers)).sum(axis=1)
     depth = float(np.median(depths))
     if depths.min() > 0 and not near <= depth <= far:

@@ -5,22 +5,17 @@ limits exceed any real camera; values beyond them come from a damaged or forged 
 cause a division by zero or meaningless numbers in a report.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import astuple
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from framework.compute.elementary import product
 from framework.errors import require
 from framework.files.limits import SIDE_PIXELS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.scenes.lens import Lens
+from framework.scenes.lens import Lens
 
 NOT_ROTATION = 1e-3  # largest deviation of R^T R from the identity
 NOT_UNIT = 1e-2  # largest deviation of a quaternion's length from 1; below, it is normalised
@@ -30,6 +25,11 @@ OFF_CENTER = 10.0  # offset of the principal point from the middle, over the lon
 BENT = 100.0  # largest coefficient of a lens distortion
 ROUNDED = 0.5  # pixels; largest error of a visible point in float32
 ASTRAY = 1000.0  # times the rig's size and the far bound; farther cameras see nothing
+
+
+def center_of(viewmat: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[3] camera centre of a [4, 4] world-to-camera."""
+    return -product(viewmat[:3, :3].T, viewmat[:3, 3])
 
 
 def checked_pose(viewmat: NDArray[np.float64], where: str) -> NDArray[np.float64]:

@@ -9,110 +9,95 @@ undistorted to a pinhole of the same focal lengths (pixels outside the photo get
 have any size of the model's proportions, rounded (`images_4`). Near and far are the 0.1 and 99.9
 percentiles, as in LLFF, of the depths of points in the training views; `points` handles models
 without points or tracks. Pixels that are black in `masks/`, or transparent, do not count.
-"""
 
-from __future__ import annotations
+`scene=mip360` is the Mip-NeRF 360 data set (Barron et al. 2022): `sparse/0` for the full-size
+photos and these reduced, `images_2`, `images_4`, `images_8`. Sparse-view work (FSGS, CoR-GS,
+DropGaussian) trains on 12 or 24 views at an eighth of the size and tests on every 8th photo, see
+protocol `mip360`. Its photos are free of distortion.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import ClassVar
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import check_folder_options
+from framework.scenes.colmap_model import Model, choose_model
+from framework.scenes.conventions import decoded_as
+from framework.scenes.images import EIGHTH_OR_FULL, photo_folder
+from framework.scenes.layout import FolderScene, Listing
+from framework.scenes.listed import find_photos, match_photos, warn_unplaced
+from framework.scenes.masks import find_masks
+from framework.scenes.photo import Photo
 from framework.scenes.splits import protocol
-
-if TYPE_CHECKING:
-    from framework.scenes.colmap_model import Model
-    from framework.types import Scene
 
 
 @dataclass(frozen=True)
-class Colmap:
-    """Options of `scene=colmap`.
+class Colmap(FolderScene):
+    """Options of `scene=colmap`."""
 
-    Attributes:
-        near, far: depth bounds in scene units; null = from the points.
-    """
+    layout: ClassVar[str] = "colmap"
 
-    path: str  # folder of the scene
-    n_views: int | str = 12  # training views; all = every one that is not for testing
     images: str = "images"  # folder of the photos inside path
     model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
-    downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
-    near: float | None = None
-    far: float | None = None
-    split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
     poses: str = "opencv_w2c"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
-    def __post_init__(self) -> None:
-        check_folder_options("colmap", self)
-
-    def load(self) -> Scene:
-        """Load the scene.
-
-        Raises:
-            UserError: if folder, model and photos do not fit together.
-        """
-        from framework.scenes.images import scene_folder
-
-        folder = scene_folder("colmap", self.path)
-        return load_colmap("colmap", folder, inside(folder, self.images), self)
+    def listing(self, folder: Path) -> Listing:
+        return list_colmap(self, folder, inside(folder, self.images))
 
 
-def load_colmap(
-    loader: str,
+@dataclass(frozen=True)
+class Mip360(Colmap):
+    """Options of `scene=mip360`."""
+
+    layout: ClassVar[str] = "mip360"
+
+    images: str = "auto"  # folder of the photos; auto = images_8 where there is one, else images
+    split: str = "mip360"  # which views train and which test: llff, mip360, dtu; none = no test
+
+    def listing(self, folder: Path) -> Listing:
+        photos = photo_folder(self.layout, folder, self.images, EIGHTH_OR_FULL, "sparse/0/")
+        return list_colmap(self, folder, photos)
+
+
+def list_colmap(
+    options: Colmap,
     folder: Path,
     photos: Path,
-    options: Colmap,
-    name: str | None = None,
+    loader: str | None = None,
     masks: Path | None = None,
-) -> Scene:
-    """Load the scene of the model in `folder` and the images in `photos`, for `scene=<loader>`.
+) -> Listing:
+    """List the images of the model in `folder`, whose files are in `photos`.
 
     Args:
-        name: of the scene; default the folder's.
+        loader: name for messages; by default that of the options.
         masks: the folder that has `masks/`; default `folder`.
     """
-    from framework.scenes.assemble import assemble
-    from framework.scenes.conventions import decoded_as
-    from framework.scenes.listed import find_photos, warn_unplaced
-    from framework.scenes.masks import find_masks
-    from framework.scenes.photo import Photo, read_shots
-    from framework.scenes.points import points_and_bounds
-
     require(
         photos.is_dir(),
         f"{photos}: expected a folder of the model's photos, got no such folder; correct"
         " scene.images",
     )
     model = _model(folder, photos, options.model)
-    where = f"scene={loader}: {folder}"
+    where = f"scene={loader or options.layout}: {folder}"
     files = find_photos(photos, model.names, where)
     warn_unplaced(photos, files.values())
     names, lenses = [model.names[i] for i in files], [model.lenses[i] for i in files]
     viewmats = [decoded_as(model.viewmats[i], Colmap.poses, options.poses) for i in files]
     masked = find_masks(masks or folder, photos.name, names)
-    listed = [*map(Photo, files.values(), names, lenses, viewmats, masked)]
-    split = protocol(options.split).split(names, options.n_views, where)
-    train, test = read_shots(listed.__getitem__, split, options.downscale)
-    tracks, near, far = points_and_bounds(
-        model.tracks.of_images([*files]),
+    return Listing(
+        folder.resolve().name,
+        where,
         viewmats,
-        split.train,
-        train,
+        [*map(Photo, files.values(), names, lenses, viewmats, masked)].__getitem__,
+        protocol(options.split).split(names, options.n_views, where),
+        model.tracks.of_images([*files]),
         options.near,
         options.far,
-        where,
     )
-    name = name or folder.resolve().name
-    return assemble(name, options.split, train, test, tracks, near, far)
 
 
 def _model(folder: Path, photos: Path, option: str) -> Model:
-    from framework.scenes.colmap_model import choose_model
-    from framework.scenes.listed import match_photos
-
     chosen = choose_model(folder, option, lambda model: len(match_photos(photos, model.names)))
     if chosen is None:
         raise UserError(

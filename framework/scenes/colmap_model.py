@@ -1,7 +1,5 @@
 """A COLMAP sparse model as lenses, poses and tracks, and the choice among several models."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Sequence
@@ -14,12 +12,12 @@ from numpy.typing import NDArray
 from framework.errors import UserError, require
 from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.scenes.assemble import Tracks, untracked
+from framework.scenes.assemble import Tracks
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.colmap_files import MODELS, Camera, read_files
 from framework.scenes.coloured import read_coloured
+from framework.scenes.images import AUTO
 from framework.scenes.lens import Distortion, Lens
-from framework.scenes.options import AUTO
 
 log = logging.getLogger(__name__)
 
@@ -105,7 +103,7 @@ def read_model(folder: Path) -> Model:
     used = {image.camera for image in images}  # others may have models that are not supported
     lenses = {i: _lens(cameras[i], folder) for i in used}
     if not len(tracks.xyz) and is_file(folder / PLY):
-        tracks = untracked(*read_coloured(inside(folder, PLY)), len(images))
+        tracks = read_coloured(inside(folder, PLY), len(images))
     return Model(
         names=[image.name for image in images],
         lenses=[lenses[image.camera] for image in images],

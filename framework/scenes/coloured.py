@@ -1,25 +1,27 @@
-"""Coloured points from a PLY file."""
-
-from __future__ import annotations
+"""Coloured points without tracks, from a PLY file."""
 
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from framework.errors import require
+from framework.files.limits import MODEL_CELLS
 from framework.files.opened import is_file
 from framework.files.ply import read_vertices
+from framework.scenes.assemble import Tracks
 from framework.scenes.cameras import near_points
 
 COLUMNS = ("x", "y", "z", "red", "green", "blue")
 
 
-def read_coloured(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Read positions [M, 3] and uchar colours [M, 3].
+def read_coloured(path: Path, images: int) -> Tracks:
+    """Read points with uchar colours.
+
+    Args:
+        images: number of images that `Tracks.seen` is over.
 
     Raises:
-        UserError: if the file lacks them.
+        UserError: if the file lacks them, or has too many.
     """
     require(
         is_file(path),
@@ -39,4 +41,10 @@ def read_coloured(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         f"{path}: expected colours of type uchar, got {rgb.dtype}; convert the file",
     )
     good = near_points(xyz)
-    return xyz[good], rgb[good]
+    cells = int(good.sum()) * images
+    require(
+        cells <= MODEL_CELLS,
+        f"points: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; thin out the"
+        " points",
+    )
+    return Tracks(xyz[good], rgb[good], np.zeros((int(good.sum()), images), dtype=bool))

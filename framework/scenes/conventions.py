@@ -11,14 +11,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from framework.compute import portable
+from framework.compute.elementary import product
+from framework.scenes.cameras import center_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from framework.types import TrainingSet
 
+CONVENTIONS = ("opencv_c2w", "opencv_w2c", "opengl_c2w", "opengl_w2c", "llff_c2w", "llff_w2c")
 AXES = {  # a vector in the file's camera axes -> in OpenCV's
     "opencv": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     "opengl": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
@@ -31,7 +32,7 @@ def decoded_as(viewmat: NDArray[np.float64], layout: str, other: str) -> NDArray
 
     Args:
         viewmat: [4, 4] OpenCV world-to-camera, decoded under `layout`.
-        layout, other: two of `options.CONVENTIONS`.
+        layout, other: two of `CONVENTIONS`.
 
     Returns:
         [4, 4] OpenCV world-to-camera.
@@ -39,10 +40,10 @@ def decoded_as(viewmat: NDArray[np.float64], layout: str, other: str) -> NDArray
     if layout == other:
         return viewmat
     (axes, way), (new_axes, new_way) = layout.split("_"), other.split("_")
-    written = portable.product(_axes(axes).T, viewmat)  # the file's matrix as w2c
+    written = product(_axes(axes).T, viewmat)  # the file's matrix as w2c
     if way != new_way:
         written = _inverse(written)
-    return portable.product(_axes(new_axes), written)
+    return product(_axes(new_axes), written)
 
 
 def repaired(training: TrainingSet, layout: str, other: str) -> TrainingSet:
@@ -73,5 +74,5 @@ def _inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """The inverse of a rigid motion [4, 4]."""
     inverse = np.eye(4)
     inverse[:3, :3] = pose[:3, :3].T
-    inverse[:3, 3] = -portable.product(pose[:3, :3].T, pose[:3, 3])
+    inverse[:3, 3] = center_of(pose)
     return inverse

@@ -19,28 +19,24 @@ white elsewhere in render and truth (RegNeRF; CoR-GS's `metrics_dtu.py`). Traini
 - object: the object alone, which needs masks of the training photos.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import ClassVar
 
 from framework.errors import UserError, require
+from framework.files.limits import PHOTO_PIXELS
 from framework.files.paths import inside
+from framework.scenes.decoding import image_size
+from framework.scenes.dtu_cameras import read_cameras
 from framework.scenes.formats import listed
-from framework.scenes.options import check_choice, check_folder_options
-from framework.scenes.splits import protocol
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from framework.scenes.assemble import Shot
-    from framework.scenes.splits import Split
-    from framework.types import Scene
+from framework.scenes.images import list_images, photo_folder
+from framework.scenes.layout import FolderScene, Listing
+from framework.scenes.model_points import colmap_tracks
+from framework.scenes.photo import Photo
+from framework.scenes.splits import Split, protocol
 
 log = logging.getLogger(__name__)
 
@@ -50,46 +46,34 @@ NEAR_MM, FAR_MM = 425.0, 935.0
 USUAL_WIDTH = 400
 DARK, DARK_SCAN_110 = 30, 15  # grey values below which a pixel may be background
 MOST = 1000  # positions
-DARK_RUN = 50  # pixels: a background pixel and those above it
 
 
 @dataclass(frozen=True)
-class Dtu:
+class Dtu(FolderScene):
     """Options of `scene=dtu`.
 
     Attributes:
         near, far: depth bounds in millimetres.
     """
 
-    path: str  # folder of the scene
+    layout: ClassVar[str] = "dtu"
+
     n_views: int | str = 3  # training views; all = every one that is not for testing
-    scan: int | None = None  # which scan, where path is a folder of scans
-    images: str = "auto"  # folder of the photos; auto = images where there is one, else image
     downscale: int | None = None  # photos are reduced by it; null = to 400 x 300
-    model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
     near: float = NEAR_MM
     far: float = FAR_MM
-    train_mask: str = "background"  # what of the training photos counts: background, full, object
     split: str = "dtu"  # which views train and which test: llff, mip360, dtu; none = no test
+    scan: int | None = None  # which scan, where path is a folder of scans
+    images: str = "auto"  # folder of the photos; auto = images where there is one, else image
+    model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
+    train_mask: str = "background"  # what of the training photos counts: background, full, object
 
     def __post_init__(self) -> None:
-        check_folder_options("dtu", self)
-        check_choice("dtu", "train_mask", self.train_mask, TRAIN_MASKS)
+        super().__post_init__()
+        self.expect_choice("train_mask", TRAIN_MASKS)
 
-    def load(self) -> Scene:
-        """Load the scene.
-
-        Raises:
-            UserError: if the folder lacks a part of the layout.
-        """
-        from framework.scenes.assemble import assemble
-        from framework.scenes.dtu_cameras import read_cameras
-        from framework.scenes.images import photo_folder
-        from framework.scenes.model_points import colmap_tracks
-        from framework.scenes.photo import Photo, read_shots
-        from framework.scenes.points import points_and_bounds
-
-        folder = scan_folder(self.path, self.scan)
+    def listing(self, folder: Path) -> Listing:
+        folder = scan_folder(folder, self.scan)
         where = f"scene=dtu: {folder}"
         layout = "mask/ and cameras_sphere.npz"
         require(
@@ -102,26 +86,29 @@ class Dtu:
         masks = _masks(folder, files)
         split = self._split([*files], where)
         cameras = read_cameras(folder, [*files])
-
-        def photo_at(i: int) -> Photo:
-            mask = masks[i] if i in split.test or self.train_mask == "object" else None
-            return Photo(files[i], files[i].name, cameras[i].lens, cameras[i].viewmat, mask)
-
-        train, test = read_shots(photo_at, split, self._downscale(next(iter(files.values()))))
-        if self.train_mask == "background":
-            level = DARK_SCAN_110 if folder.name.endswith("scan110") else DARK
-            train = [_without_background(shot, level) for shot in train]
-        names, viewmats = [f.name for f in files.values()], [cameras[i].viewmat for i in files]
-        points, near, far = points_and_bounds(
-            colmap_tracks(folder, "the cameras' file", names, viewmats, self.model),
+        dark = DARK_SCAN_110 if folder.name.endswith("scan110") else DARK
+        photos = [
+            Photo(
+                file,
+                file.name,
+                cameras[i].lens,
+                cameras[i].viewmat,
+                masks[i] if i in split.test or self.train_mask == "object" else None,
+                dark=dark if i in split.train and self.train_mask == "background" else None,
+            )
+            for i, file in files.items()
+        ]
+        names, viewmats = [photo.name for photo in photos], [photo.viewmat for photo in photos]
+        return Listing(
+            folder.name,
+            where,
             viewmats,
-            [[*files].index(i) for i in split.train],
-            train,
+            photos.__getitem__,
+            split.among([*files]),
+            colmap_tracks(folder, "the cameras' file", names, viewmats, self.model),
             self.near,
             self.far,
-            where,
         )
-        return assemble(folder.name, self.split, train, test, points, near, far)
 
     def _split(self, positions: Sequence[int], where: str) -> Split:
         """Split the rig's positions; logs a warning about those without a photo."""
@@ -136,38 +123,26 @@ class Dtu:
         names = [f"{i:06d}" for i in range(count)]
         return rule.split(names, self.n_views, where, missing)
 
-    def _downscale(self, file: Path) -> int:
-        """The option, or the factor that makes photos 400 pixels wide."""
-        from framework.files.limits import PHOTO_PIXELS
-        from framework.scenes.decoding import image_size
-
-        if self.downscale is not None:
-            return self.downscale
-        width, height = image_size(file, PHOTO_PIXELS)
+    def usual_downscale(self, photo: Path) -> int:
+        """The factor that makes photos 400 pixels wide."""
+        width, height = image_size(photo, PHOTO_PIXELS)
         factor = max(1, round(width / USUAL_WIDTH))
         if width != factor * USUAL_WIDTH:
             log.warning(
-                f"{file}: photos of {width}x{height} are reduced to {width // factor}x"
+                f"{photo}: photos of {width}x{height} are reduced to {width // factor}x"
                 f"{height // factor}, not the 400x300 of the usual protocol; for that use photos"
                 " of 1600x1200 or 800x600"
             )
         return factor
 
 
-def _without_background(shot: Shot, level: int) -> Shot:
-    kept = 1 - background(shot.image, level)
-    return replace(shot, mask=kept if shot.mask is None else kept * shot.mask)
-
-
-def scan_folder(path: str, scan: int | None) -> Path:
-    """The folder of the scan.
+def scan_folder(folder: Path, scan: int | None) -> Path:
+    """The folder of the scan in `folder`, which is that scan or holds several.
 
     Raises:
         UserError: for an unknown one, with a list of all.
     """
-    from framework.scenes.images import scene_folder
-
-    folder = scene_folder("dtu", path).resolve()
+    folder = folder.resolve()
     if scan is None:
         return folder
     for name in (f"dtu_scan{scan}", f"scan{scan}"):
@@ -184,25 +159,8 @@ def scan_folder(path: str, scan: int | None) -> Path:
     )
 
 
-def background(image: NDArray[np.uint8], level: int) -> NDArray[np.float32]:
-    """Find the dark surroundings of the table.
-
-    Returns:
-        [H, W] float32, 1 for pixels of `image` [H, W, 3] that are darker than `level` in every
-        channel, if the DARK_RUN - 1 pixels above (as far as the image reaches) are too.
-    """
-    import numpy as np
-
-    dark = image.max(axis=2) < level
-    rows = np.arange(len(dark))[:, None]
-    last_bright = np.maximum.accumulate(np.where(dark, -DARK_RUN, rows), axis=0)
-    return (rows - last_bright >= DARK_RUN).astype(np.float32)
-
-
 def _numbered(folder: Path) -> dict[int, Path]:
     """The images of `folder` by the rig position in their names, from 0."""
-    from framework.scenes.images import list_images
-
     images = list_images(folder)
     files = {_position(file): file for file in images}
     wrong = [f.name for f in images if files[_position(f)] != f or not 0 <= _position(f) < MOST]

@@ -4,8 +4,6 @@ P = K [R | t] is split by the RQ decomposition of its left 3 x 3 block (Hartley 
 section 6.2.4), with a positive diagonal of K and K[2, 2] = 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from framework.compute import portable
+from framework.compute.elementary import inverse, product
 from framework.errors import UserError, require
 from framework.files.arrays import read_npz
 from framework.files.opened import is_file
@@ -72,7 +70,7 @@ def decompose(matrix: NDArray, where: str) -> Calibration:
     K, rotation = _triangular(projection[:, :3])
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation
-    viewmat[:3, 3] = portable.product(portable.inverse(K), projection[:, 3])
+    viewmat[:3, 3] = product(inverse(K), projection[:, 3])
     K = K / K[2, 2]
     require(
         abs(K[0, 1]) <= MOST_SKEW * K[0, 0],
@@ -99,5 +97,5 @@ def _triangular(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
                 rest = rest - upper[k, j] * rows[j]
             upper[k, k] = np.sqrt(np.square(rest).sum())
             rows[k] = rest / upper[k, k]
-        K, rotation = portable.product(K, upper), rows
+        K, rotation = product(K, upper), rows
     return K, rotation

@@ -1,7 +1,5 @@
 """Photo files: which formats are read, and how a listed photo is found under another spelling."""
 
-from __future__ import annotations
-
 import importlib
 import logging
 import re

@@ -4,11 +4,11 @@ Pixels are 8-bit RGB; 16-bit values lose their lower byte. EXIF orientations are
 `photo` requires it: structure from motion mostly ignores them, so poses belong to stored pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from framework.errors import UserError, require
 from framework.files.limits import IMAGE_PIXELS, PHOTO_PIXELS
@@ -16,12 +16,8 @@ from framework.files.opened import is_file
 from framework.files.paths import inside
 from framework.scenes.decoding import eight_bit, opened, orientation, turned
 from framework.scenes.formats import SUFFIXES, is_photo, listed, unread_files, warn_left_out
-from framework.scenes.options import AUTO
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+AUTO = "auto"  # let the loader choose a folder
 # folders of photos: an eighth, as in sparse-view benchmarks, else full size
 EIGHTH_OR_FULL = ("images_8", "images")
 MASK_STRETCH = 1.02  # largest ratio of the two axes' scales of a resized mask
@@ -126,8 +122,6 @@ def read_masked(
     Raises:
         UserError: a file is damaged, the mask has another shape, or no pixel counts.
     """
-    import numpy as np
-
     rgb, alpha = _pixels(path, factor, turn)
     height, width = rgb.shape[:2]
     valid = None if mask is None else read_mask(mask, height, width, factor)
@@ -150,8 +144,6 @@ def _pixels(
     path: Path, factor: int, turn: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
     """([H, W, 3], [H, W] alpha or None where every pixel is opaque)."""
-    import numpy as np
-
     with opened(path, PHOTO_PIXELS if factor > 1 else IMAGE_PIXELS) as stored:
         # Pillow turns a TIFF when it loads it; this is undone
         by_pillow = orientation(stored) if stored.format == "TIFF" else 1
@@ -184,7 +176,6 @@ def read_mask(path: Path, height: int, width: int, factor: int = 1) -> NDArray[n
         UserError: the file is missing or damaged, or has other proportions.
     """
     import cv2
-    import numpy as np
 
     require(is_file(path), f"{path}: expected a mask, found no file; restore it")
     grey = read_image(path, factor)[..., 0]

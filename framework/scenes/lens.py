@@ -10,14 +10,10 @@ principal point and r^2 = x^2 + y^2:
 COLMAP's FULL_OPENCV cameras use it. SIMPLE_RADIAL, RADIAL and OPENCV are special cases.
 """
 
-from __future__ import annotations
-
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -65,8 +61,6 @@ def distorted_pixels(
         u, v: [H, W] in pixels with centres at +0.5; and whether the radial model is monotonic
         there, [H, W].
     """
-    import numpy as np
-
     x = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]
     y = ((np.arange(height) + 0.5 - K[1, 2]) / K[1, 1])[:, None]
     r2 = x * x + y * y
@@ -94,7 +88,6 @@ def undistort(
         The image, and the mask [H, W] of the pixels that the photo covers, None if it covers all.
     """
     import cv2
-    import numpy as np
 
     height, width = image.shape[:2]
     u, v, single = distorted_pixels(height, width, K, lens)

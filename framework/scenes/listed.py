@@ -1,7 +1,5 @@
 """Finds the photos that a pose file lists."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence

@@ -16,68 +16,56 @@ If there are more or fewer photos than rows, the model that has the rows' poses 
 row belongs to. Without such a model the folder is refused.
 """
 
-from __future__ import annotations
-
 import logging
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from framework.errors import UserError, check_option, require
+from framework.files.arrays import read_npy
 from framework.files.limits import SIDE_PIXELS
-from framework.scenes.options import check_folder_options
+from framework.files.opened import is_file
+from framework.scenes.cameras import checked_lens, checked_pose
+from framework.scenes.conventions import decoded_as
+from framework.scenes.images import EIGHTH_OR_FULL, list_images, photo_folder
+from framework.scenes.layout import FolderScene, Listing
+from framework.scenes.lens import Distortion, Lens
+from framework.scenes.listed import find_photos, warn_unplaced
+from framework.scenes.masks import find_masks
+from framework.scenes.model_points import colmap_tracks, same_poses
+from framework.scenes.photo import Photo
 from framework.scenes.splits import protocol
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from framework.scenes.lens import Lens
-    from framework.types import Scene
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Llff:
+class Llff(FolderScene):
     """Options of `scene=llff`.
 
     Attributes:
         near, far: depth bounds in scene units; null = from the file.
     """
 
-    path: str  # folder of the scene
+    layout: ClassVar[str] = "llff"
+
     n_views: int | str = 3  # training views; all = every one that is not for testing
     images: str = "auto"  # folder of the photos; auto = images_8 where there is one, else images
-    downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
-    near: float | None = None
-    far: float | None = None
     k1: float = 0.0  # radial distortion to remove, x (1 + k1 r^2); 0 = none, as is usual
-    split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
     poses: str = "llff_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        check_folder_options("llff", self)
+        super().__post_init__()
         expected = "COLMAP's SIMPLE_RADIAL distortion in (-1, 1), 0 for none"
         check_option(self, "scene", "k1", -1 < self.k1 < 1, expected)
 
-    def load(self) -> Scene:
-        """Load the scene.
-
-        Raises:
-            UserError: if the folder lacks a part of the layout.
-        """
-        from framework.scenes.assemble import assemble
-        from framework.scenes.conventions import decoded_as
-        from framework.scenes.images import EIGHTH_OR_FULL, photo_folder, scene_folder
-        from framework.scenes.masks import find_masks
-        from framework.scenes.model_points import colmap_tracks
-        from framework.scenes.photo import Photo, read_shots
-        from framework.scenes.points import points_and_bounds
-
-        folder = scene_folder("llff", self.path)
+    def listing(self, folder: Path) -> Listing:
         source, where = folder / "poses_bounds.npy", f"scene=llff: {folder}"
         photos = photo_folder("llff", folder, self.images, EIGHTH_OR_FULL, source.name)
         rows = _read_poses(source)
@@ -87,29 +75,23 @@ class Llff:
         names, viewmats = [row_names[i] for i in files], [viewmats[i] for i in files]
         lenses = [_lens(rows[i], self.k1, f"{source}: row {i}") for i in files]
         masks = find_masks(folder, photos.name, names)
-        listed = [*map(Photo, files.values(), names, lenses, viewmats, masks)]
         split = protocol(self.split).split(names, self.n_views, where)
-        train, test = read_shots(listed.__getitem__, split, self.downscale)
         bounds = rows[[*files]][list(split.train), 15:]
-        points, near, far = points_and_bounds(
-            colmap_tracks(folder, source.name, names, viewmats, self.model),
+        return Listing(
+            folder.resolve().name,
+            where,
             viewmats,
-            split.train,
-            train,
+            [*map(Photo, files.values(), names, lenses, viewmats, masks)].__getitem__,
+            split,
+            colmap_tracks(folder, source.name, names, viewmats, self.model),
             float(bounds[:, 0].min()) if self.near is None else self.near,
             float(bounds[:, 1].max()) if self.far is None else self.far,
-            where,
         )
-        return assemble(folder.resolve().name, self.split, train, test, points, near, far)
 
     def _pair(
-        self, folder: Path, photos: Path, viewmats: list[NDArray[np.float64]]
+        self, folder: Path, photos: Path, viewmats: Sequence[NDArray[np.float64]]
     ) -> tuple[list[str], dict[int, Path]]:
         """The name of each row's photo, and the photos that exist by their row's index."""
-        from framework.scenes.images import list_images
-        from framework.scenes.listed import find_photos, warn_unplaced
-        from framework.scenes.model_points import same_poses
-
         files = list_images(photos)
         if len(files) == len(viewmats):
             _warn_of_numbers(files)
@@ -147,11 +129,6 @@ def _warn_of_numbers(files: list[Path]) -> None:
 
 def _read_poses(path: Path) -> NDArray[np.float64]:
     """[n, 17] rows. Raises UserError unless they are complete and plausible."""
-    import numpy as np
-
-    from framework.files.arrays import read_npy
-    from framework.files.opened import is_file
-
     require(is_file(path), f"{path}: expected LLFF poses, found no file; is scene.path right?")
     rows = read_npy(path)
     shape = "x".join(map(str, rows.shape))
@@ -175,10 +152,6 @@ def _read_poses(path: Path) -> NDArray[np.float64]:
 
 def _viewmat(row: NDArray[np.float64], where: str) -> NDArray[np.float64]:
     """[4, 4] OpenCV world-to-camera of one row."""
-    import numpy as np
-
-    from framework.scenes.cameras import checked_pose
-
     matrix = row[:15].reshape(3, 5)
     down, right, back, center = (matrix[:, k] for k in range(4))
     viewmat = np.eye(4)
@@ -190,9 +163,6 @@ def _viewmat(row: NDArray[np.float64], where: str) -> NDArray[np.float64]:
 
 def _lens(row: NDArray[np.float64], k1: float, where: str) -> Lens:
     """The camera of a full-size photo."""
-    from framework.scenes.cameras import checked_lens
-    from framework.scenes.lens import Distortion, Lens
-
     height, width, focal = round(row[4]), round(row[9]), float(row[14])
     lens = Lens(width, height, focal, focal, width / 2, height / 2, Distortion(k1))
     return checked_lens(lens, where)

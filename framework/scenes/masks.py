@@ -4,8 +4,6 @@ The mask of `images/sub/a.jpg` is `masks/sub/a.jpg.png` (COLMAP) or `masks/sub/a
 Reduced photos (`images_8/`) use `masks_8/` if it exists. A mask of another size is resized.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Sequence

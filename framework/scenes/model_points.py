@@ -1,39 +1,29 @@
 """The sparse points of a COLMAP model for a scene whose poses come from another file."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from framework.compute import portable
+from framework.compute.elementary import product
 from framework.errors import UserError
 from framework.scenes.assemble import Tracks
-from framework.scenes.options import AUTO
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.scenes.colmap_model import Model
+from framework.scenes.cameras import center_of
+from framework.scenes.colmap_model import Model, choose_model
+from framework.scenes.images import AUTO
 
 log = logging.getLogger(__name__)
 
 SAME_POSE = 0.01  # distance between two models' camera centres, of the rig's size
 
 
-def center_of(viewmat: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[3] camera centre of a [4, 4] world-to-camera."""
-    return -portable.product(viewmat[:3, :3].T, viewmat[:3, 3])
-
-
 def moved(xyz: NDArray[np.float64], world: NDArray[np.float64]) -> NDArray[np.float64]:
     """[M, 3] points after a [4, 4] transform."""
-    return portable.product(xyz, world[:3, :3].T) + world[:3, 3]
+    return product(xyz, world[:3, :3].T) + world[:3, 3]
 
 
 @dataclass(frozen=True)
@@ -83,7 +73,6 @@ def colmap_tracks(
     Raises:
         UserError: the model has other poses.
     """
-    from framework.scenes.colmap_model import choose_model
 
     def fit(model: Model) -> _Fit:
         fits = [f for world in worlds for f in _fits(model, names, viewmats, world)]
@@ -109,8 +98,6 @@ def same_poses(
     folder: Path, viewmats: Sequence[NDArray[np.float64]], model: str = AUTO
 ) -> list[str] | None:
     """Names of the images of a COLMAP model that has these poses in this order; None without it."""
-    from framework.scenes.colmap_model import choose_model
-
     names = [""] * len(viewmats)  # no name matches
     chosen = choose_model(folder, model, lambda m: _fits(m, names, viewmats, np.eye(4))[0].photos)
     fits = _fits(chosen[1], names, viewmats, np.eye(4)) if chosen else []

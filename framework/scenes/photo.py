@@ -5,14 +5,12 @@ are read one at a time and reduced at once. The memory of the reduced views is c
 headers before the first photo is decoded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from framework.errors import UserError, require
 from framework.files.limits import IMAGE_PIXELS, PHOTO_PIXELS, SCENE_BYTES
@@ -20,13 +18,10 @@ from framework.scenes.assemble import Shot, intrinsics
 from framework.scenes.decoding import SIDEWAYS, image_header, image_size
 from framework.scenes.images import read_masked
 from framework.scenes.lens import PINHOLE, Distortion, Lens, undistort
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.scenes.splits import Split
+from framework.scenes.splits import Split
 
 BYTES_PER_PIXEL = 12  # three float32
+DARK_RUN = 50  # pixels: a background pixel and those above it
 REACH = 6  # pixels from which undistortion mixes a pixel: half of 8, and overshoots
 
 
@@ -38,6 +33,8 @@ class Photo:
         viewmat: [4, 4] world-to-camera.
         mask: a picture, black where the photo does not count.
         sized: the lens' size is stated elsewhere than by the photo.
+        dark: grey value below which pixels may be `background`, which does not count; None if
+            there is none.
     """
 
     file: Path
@@ -46,6 +43,7 @@ class Photo:
     viewmat: NDArray[np.float64]
     mask: Path | None = None
     sized: bool = True
+    dark: int | None = None
 
 
 def read_shots(
@@ -111,8 +109,24 @@ def read_shot(photo: Photo, downscale: int = 1, paper: int | None = None) -> Sho
     image, valid, clear = read_masked(photo.file, photo.mask, factor, turn, paper)
     shot = _undistorted(Shot(photo.name, photo.viewmat, K, image, mask=valid), lens.distortion)
     shot = downscaled(shot, downscale // factor, share=1.0 if shot.lens else 0.5)
+    if photo.dark is not None:
+        kept = 1 - background(shot.image, photo.dark)
+        shot = replace(shot, mask=kept if shot.mask is None else kept * shot.mask)
     exif_turn = (orientation, turn != 1) if doubtful else None
     return replace(shot, exif=exif_turn, clear=clear and paper is not None)
+
+
+def background(image: NDArray[np.uint8], level: int) -> NDArray[np.float32]:
+    """Find the dark surroundings of the table.
+
+    Returns:
+        [H, W] float32, 1 for pixels of `image` [H, W, 3] that are darker than `level` in every
+        channel, if the DARK_RUN - 1 pixels above (as far as the image reaches) are too.
+    """
+    dark = image.max(axis=2) < level
+    rows = np.arange(len(dark))[:, None]
+    last_bright = np.maximum.accumulate(np.where(dark, -DARK_RUN, rows), axis=0)
+    return (rows - last_bright >= DARK_RUN).astype(np.float32)
 
 
 def resize_scale(lens: Lens, width: int, height: int) -> tuple[float, float] | None:

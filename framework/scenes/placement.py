@@ -1,7 +1,5 @@
 """Tags test cameras as interpolating or extrapolating with respect to the training cameras."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -6,22 +6,16 @@ are seen by the training views that they project into. Without any points, they 
 from the training photos.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from framework.compute import portable
+from framework.compute.elementary import product
 from framework.errors import require
-from framework.scenes.assemble import Tracks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.scenes.assemble import Shot
+from framework.scenes.assemble import Shot, Tracks
+from framework.scenes.triangulate import triangulate
 
 MOST_BEHIND = 0.2  # share of points behind the cameras that see them
 
@@ -62,8 +56,6 @@ def points_and_bounds(
     Raises:
         UserError: a bound is not set, and there are too few points to find it.
     """
-    from framework.scenes.triangulate import triangulate
-
     tracks = see_untracked(tracks, train, shots, where)
     if near is None or far is None:
         if not len(tracks.xyz) or not tracks.seen[:, list(train)].any():
@@ -118,13 +110,13 @@ def see_untracked(
     return Tracks(tracks.xyz, tracks.rgb, seen)
 
 
-Pixels = tuple["NDArray[np.float64]", "NDArray[np.float64]", "NDArray[np.float64]"]
+Pixels = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def _project(shot: Shot, xyz: NDArray[np.float64]) -> Pixels:
     """Pixel coordinates u and v, 0 behind the camera, and depth z of [M, 3] points."""
-    seen = portable.product(xyz, shot.viewmat[:3, :3].T) + shot.viewmat[:3, 3]
-    u, v, z = portable.product(seen, shot.K.T).T
+    seen = product(xyz, shot.viewmat[:3, :3].T) + shot.viewmat[:3, 3]
+    u, v, z = product(seen, shot.K.T).T
     ahead = np.where(z > 0, z, np.inf)
     return u / ahead, v / ahead, z
 
@@ -189,7 +181,7 @@ def depth_bounds(
     depths = []
     for i in train:
         xyz, viewmat = tracks.xyz[tracks.seen[:, i]], viewmats[i]
-        depths.append(portable.product(xyz, viewmat[2, :3]) + viewmat[2, 3])
+        depths.append(product(xyz, viewmat[2, :3]) + viewmat[2, 3])
     z = np.concatenate(depths)
     require(
         len(z) > 0,

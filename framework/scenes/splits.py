@@ -65,6 +65,11 @@ class Split:
     train: tuple[int, ...]
     test: tuple[int, ...]
 
+    def among(self, kept: Sequence[int]) -> Split:
+        """The same images by their places in `kept`, which has all of them."""
+        place = {image: k for k, image in enumerate(kept)}
+        return Split(tuple(place[i] for i in self.train), tuple(place[i] for i in self.test))
+
 
 @dataclass(frozen=True)
 class Protocol:

@@ -17,23 +17,26 @@ Points come from the COLMAP model with the poses of the file, also after nerfstu
 training views' points, as in `scene=colmap`, unless given.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from os.path import splitext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import ClassVar
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import check_choice, check_folder_options
+from framework.scenes.assemble import Tracks
+from framework.scenes.coloured import read_coloured
+from framework.scenes.layout import FolderScene, Listing
+from framework.scenes.model_points import colmap_tracks
 from framework.scenes.splits import FILES, Split, file_protocol, protocol
-
-if TYPE_CHECKING:
-    from framework.scenes.assemble import Tracks
-    from framework.scenes.transforms_file import Frame
-    from framework.types import Scene
+from framework.scenes.transforms_file import (
+    Frame,
+    read_extras,
+    read_frames,
+    read_roles,
+    with_photos,
+)
 
 log = logging.getLogger(__name__)
 
@@ -41,70 +44,48 @@ PAPERS = {"white": 255, "black": 0}  # grey values
 
 
 @dataclass(frozen=True)
-class Transforms:
+class Transforms(FolderScene):
     """Options of `scene=transforms`.
 
     Attributes:
         points: auto = the COLMAP model or the file's `ply_file_path`; none; or a PLY file of
             points, relative to path. A PLY has no tracks: it should be made from the training views
             alone.
-        near, far: depth bounds in scene units; null = from the points.
     """
 
-    path: str  # folder of the scene
-    n_views: int | str = 12  # training views; all = every one that is not for testing
+    layout: ClassVar[str] = "transforms"
+    splits_by_file: ClassVar[bool] = True
+
     file: str = "transforms.json"  # of cameras and photos, inside path
-    downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     paper: str = "white"  # background of transparent photos: white, black
     points: str = "auto"
     model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
-    near: float | None = None
-    far: float | None = None
     split: str = "llff"  # which views train and which test: llff, mip360, dtu, file; none = no test
     poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        check_folder_options("transforms", self, files=True)
-        check_choice("transforms", "paper", self.paper, tuple(PAPERS))
+        super().__post_init__()
+        self.expect_choice("paper", tuple(PAPERS))
 
-    def load(self) -> Scene:
-        """Load the scene.
-
-        Raises:
-            UserError: if file and photos do not fit together.
-        """
-        from framework.scenes.assemble import Tracks, assemble
-        from framework.scenes.images import scene_folder
-        from framework.scenes.photo import read_shots
-        from framework.scenes.points import points_and_bounds
-        from framework.scenes.transforms_file import read_frames, with_photos
-
-        folder = scene_folder("transforms", self.path)
-        file = inside(folder, self.file)
+    def listing(self, folder: Path) -> Listing:
+        file, where = inside(folder, self.file), f"scene=transforms: {folder}"
         listed = read_frames(file, self.poses)
-        where = f"scene=transforms: {folder}"
         frames = [*with_photos(file, listed).values()]
-        split = self._split(file, [f.name for f in frames], {f.name for f in listed}, where)
-        paper = PAPERS[self.paper]
-        train, test = read_shots(lambda i: frames[i].photo(), split, self.downscale, paper)
-        tracks, near, far = points_and_bounds(
+        return Listing(
+            folder.resolve().name,
+            where,
+            [frame.viewmat for frame in frames],
+            lambda i: frames[i].photo(),
+            self._split(file, [f.name for f in frames], {f.name for f in listed}, where),
             self._tracks(folder, file, frames),
-            [f.viewmat for f in frames],
-            split.train,
-            train,
             self.near,
             self.far,
-            where,
+            PAPERS[self.paper],
+            points_train=self.points != "none",
         )
-        if self.points == "none":  # they only gave the bounds
-            tracks = Tracks()
-        name = folder.resolve().name
-        return assemble(name, self.split, train, test, tracks, near, far, paper / 255)
 
     def _split(self, file: Path, names: list[str], listed: set[str], where: str) -> Split:
         """Split by a rule or by the file; warns if the rule trains on the file's test photos."""
-        from framework.scenes.transforms_file import read_roles
-
         train, test = read_roles(file)
         by_file = file_protocol(names, train, test, self.split)
         if self.split in FILES:
@@ -133,22 +114,17 @@ class Transforms:
 
     def _tracks(self, folder: Path, file: Path, frames: list[Frame]) -> Tracks:
         """Read the points, with their tracks over all frames."""
-        from framework.scenes.assemble import Tracks, untracked
-        from framework.scenes.coloured import read_coloured
-        from framework.scenes.model_points import colmap_tracks
-        from framework.scenes.transforms_file import read_extras
-
         if self.points == "none":
             return Tracks()
         if self.points != "auto":
-            return untracked(*read_coloured(inside(folder, self.points)), len(frames))
+            return read_coloured(inside(folder, self.points), len(frames))
         extras = read_extras(file)
         names, viewmats = [f.name for f in frames], [f.viewmat for f in frames]
         tracks = colmap_tracks(folder, self.file, names, viewmats, self.model, extras.worlds)
         if len(tracks.xyz) or extras.ply is None:
             return tracks
         try:
-            return untracked(*read_coloured(extras.ply), len(frames))
+            return read_coloured(extras.ply, len(frames))
         except UserError as error:
             log.warning(f"{error}; the points of ply_file_path are not used")
             return tracks

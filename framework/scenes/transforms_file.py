@@ -1,7 +1,5 @@
 """Reads and checks a `transforms.json`; see `transforms` for its content."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from framework.compute import portable
+from framework.compute.elementary import product, sinc_cosine
 from framework.errors import UserError, require
 from framework.files.documents import read_json
 from framework.files.limits import PHOTO_PIXELS, TEXT_BYTES
@@ -50,6 +48,7 @@ class Frame:
         viewmat: [4, 4] OpenCV world-to-camera.
         values: its intrinsics.
         where: starts a message about it.
+        entry: the frame's object in the file.
         mask: a picture, black where the photo does not count.
     """
 
@@ -58,6 +57,7 @@ class Frame:
     viewmat: NDArray[np.float64]
     values: Mapping[str, float]
     where: str
+    entry: Mapping[str, Any]
     mask: Path | None = None
 
     def photo(self) -> Photo:
@@ -95,7 +95,7 @@ class Frame:
             0 < view < math.pi,
             f"{self.where}: expected {angle} in (0, pi) radians, got {view}; correct it",
         )
-        sinc, cosine = portable.sinc_cosine((view / 2) ** 2)
+        sinc, cosine = sinc_cosine((view / 2) ** 2)
         return size / view * cosine / sinc
 
 
@@ -109,7 +109,7 @@ def read_in_order(path: Path, poses: str = LAYOUT_POSES) -> list[Frame]:
 
     Args:
         path: the file.
-        poses: how it writes poses, see `options.CONVENTIONS`.
+        poses: how it writes poses, see `conventions.CONVENTIONS`.
 
     Raises:
         UserError: a value is invalid.
@@ -202,7 +202,7 @@ def read_cameras(path: Path) -> list[Frame]:
         values = _merged(common, _values(entry, where))
         mask = _text(entry, "mask_path", where)
         file = None if mask is None else Path(mask)
-        frames.append(Frame(entry["file_path"], path, viewmat, values, where, file))
+        frames.append(Frame(entry["file_path"], path, viewmat, values, where, entry, file))
     return frames
 
 
@@ -327,5 +327,5 @@ def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
     viewmat = np.eye(4)
     viewmat[:3, :3] = (pose[:3, :3] * OPENGL_TO_OPENCV).T
     with np.errstate(over="ignore", invalid="ignore"):  # refused by checked_pose
-        viewmat[:3, 3] = -portable.product(viewmat[:3, :3], pose[:3, 3])
+        viewmat[:3, 3] = -product(viewmat[:3, :3], pose[:3, 3])
     return checked_pose(viewmat, f"{where}: transform_matrix")

@@ -3,23 +3,18 @@
 Only the training photos are used, so the points are independent of the test photos.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from framework.compute import portable
+from framework.compute.elementary import inverse, product
 from framework.errors import require
-from framework.scenes.assemble import Tracks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.scenes.assemble import Shot
+from framework.scenes.assemble import Shot, Tracks
+from framework.scenes.cameras import center_of
 
 log = logging.getLogger(__name__)
 
@@ -102,13 +97,13 @@ def _features(shot: Shot) -> _Features:
     places = np.array([k.pt for k in keypoints], np.float64).reshape(-1, 2)
     pixels = (places + 0.5) * [width / grey.shape[1], height / grey.shape[0]]
     rays = np.column_stack([pixels, np.ones(len(pixels))])
-    turn = portable.product(portable.inverse(shot.K).T, shot.viewmat[:3, :3])
-    rays = portable.product(rays, turn)
+    turn = product(inverse(shot.K).T, shot.viewmat[:3, :3])
+    rays = product(rays, turn)
     column, row = np.clip(pixels.astype(int), 0, [width - 1, height - 1]).T
     return _Features(
         shot,
         scale,
-        -portable.product(shot.viewmat[:3, :3].T, shot.viewmat[:3, 3]),
+        center_of(shot.viewmat),
         pixels,
         rays / np.sqrt(np.square(rays).sum(axis=1, keepdims=True)),
         shot.image[row, column],
@@ -160,8 +155,8 @@ def _mutual(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.intp]:
 
 def _error(f: _Features, xyz: NDArray[np.float64], index: NDArray[np.intp]) -> NDArray[np.float64]:
     """[M] reprojection error in pixels of the reduced photo; infinite behind the camera."""
-    seen = portable.product(xyz, f.shot.viewmat[:3, :3].T) + f.shot.viewmat[:3, 3]
-    pixel = portable.product(seen, f.shot.K.T)
+    seen = product(xyz, f.shot.viewmat[:3, :3].T) + f.shot.viewmat[:3, 3]
+    pixel = product(seen, f.shot.K.T)
     with np.errstate(divide="ignore", invalid="ignore"):
         off = pixel[:, :2] / pixel[:, 2:] - f.pixels[index]
     return np.where(pixel[:, 2] > 0, f.scale * np.sqrt(np.square(off).sum(axis=1)), np.inf)

@@ -15,8 +15,6 @@ So with three views the cost is of at most two directions, for any number of coe
 Gains hold one at a time: many Gaussians that lose their bands together lose more.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ to 0.7 more for each coefficient of three channels. The constants are a little l
 file is below the limit. Light to import.
 """
 
-from __future__ import annotations
-
 import re
 
 UNITS = {"": 1, "b": 1, "kb": 1_000, "mb": 1_000_000}

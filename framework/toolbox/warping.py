@@ -8,6 +8,7 @@ Light to import: torch and numba are loaded when the first camera is sampled.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,8 +16,6 @@ from framework.errors import UserError
 from framework.plugin import Augmenter, StepContext
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy as np
 
     from framework.types import Camera, Gaussians, View

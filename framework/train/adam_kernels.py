@@ -5,8 +5,6 @@ Every element is computed alone, in float32 and without contraction, so the bits
 threads or blocks, nor on which of the two kernels it is.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -23,7 +21,7 @@ _LN2, _LOG2E = np.float32(math.log(2)), np.float32(1 / math.log(2))
 
 
 @kernel
-def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
+def _adam_range(p, g, m, v, rate, correction):
     """p -= rate * m / (sqrt(v) * correction + eps), after the moments m and v took g in; returns
     how many p or v are not finite now.
 
@@ -50,7 +48,7 @@ def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _decay_range(logits, begin, end, decay):  # type: ignore[no-untyped-def]
+def _decay_range(logits, begin, end, decay):
     """Multiply the opacities sigmoid(logits[begin:end]) by `decay` in (0, 1).
 
     d sigmoid(l) = sigmoid(l'), l' = log d - log(1 - d + exp(-l)); Binocular3DGS applies such a
@@ -67,9 +65,7 @@ def _decay_range(logits, begin, end, decay):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def adam_kernel(  # type: ignore[no-untyped-def]
-    block, n_blocks, p, g, m, v, coefficients, broken, logits, decay
-):
+def adam_kernel(block, n_blocks, p, g, m, v, coefficients, broken, logits, decay):
     """Block `block` of one Adam update of several tensors, and of the decay of opacities after it.
 
     Args:
@@ -90,7 +86,7 @@ def adam_kernel(  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _pieces(scratch, n, banded, per_shN):  # type: ignore[no-untyped-def]
+def _pieces(scratch, n, banded, per_shN):
     """Room in the scratch for the gradients of n <= CHUNK Gaussians: of the six tensors, the last
     of `banded` of them, and of the opacity factors."""
     return (
@@ -105,7 +101,7 @@ def _pieces(scratch, n, banded, per_shN):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _pull_back(a, b, p, shN, factors, projected, g, g_offset):  # type: ignore[no-untyped-def]
+def _pull_back(a, b, p, shN, factors, projected, g, g_offset):
     """`project_backward` for Gaussians a ... b - 1 alone, into the pieces g."""
     degree, camera, rows, clipped, first, sums = projected
     q = (p[0][3 * a : 3 * b], p[1][4 * a : 4 * b], p[2][3 * a : 3 * b], p[3][a:b])
@@ -120,7 +116,7 @@ def _pull_back(a, b, p, shN, factors, projected, g, g_offset):  # type: ignore[n
 
 
 @kernel
-def pull_back_and_step(  # type: ignore[no-untyped-def]
+def pull_back_and_step(
     block,
     n_blocks,
     scratch,

@@ -1,12 +1,10 @@
 """Makes the `StepContext` that a plugin gets at one moment of a training."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,9 +17,7 @@ from framework.geometry import mean_neighbour_distance
 from framework.options import TrainerOptions
 from framework.plugin import StepContext
 from framework.types import NAMES, Camera, DepthMap, Gaussians, Render, TrainingSet
-
-if TYPE_CHECKING:
-    from framework.warp.zbuffer import Support
+from framework.warp.zbuffer import Support
 
 CPU = "cpu"
 

@@ -11,8 +11,6 @@ where both renders show the same surface. docs/decisions.md explains how the con
 chosen.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One update of the Gaussians: a step of Adam on the losses of one or several views."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ A chosen method may hardly act: pseudo views are refused, a dropout rate rounds 
 outweighed. So every call is counted; checkpoints hold the counts.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 

@@ -1,7 +1,5 @@
 """The views of an epoch: their order, and their preparation at the current resolution."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -89,9 +87,10 @@ class Items:
         return self._item(_over_covered(small) if covered else small)
 
     def _item(self, view: View) -> Item:
-        target, smoothing = self._rasterizer.target(view.image, view.mask), None
+        device, smoothing = self._rasterizer.device, None
+        target = self._rasterizer.losses().target(view.image, view.mask, device)
         if self._smoothness is not None and not view.pseudo:
-            smoothing = self._smoothness.weights(view).to(self._rasterizer.device)
+            smoothing = self._smoothness.weights(view).to(device)
         return Item(view, target, smoothing)
 
 

@@ -1,7 +1,5 @@
 """The training loss on one view and its gradient in every parameter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -73,7 +71,7 @@ class DepthTerms:
         self, params: Gaussians, item: Item, rasterizer: Rasterizer, options: Mapping[str, Any]
     ) -> None:
         self._params, self._item = params, item
-        self._rasterizer, self._options = rasterizer, options
+        self._rasterizer, self._options, self._losses = rasterizer, options, rasterizer.losses()
         self.elsewhere: dict[str, Tensor] = {}
 
     @property
@@ -84,7 +82,7 @@ class DepthTerms:
         """Return the gradient in alpha and depth [H, W] of the view's render."""
         item, gradients = self._item, []
         if item.smoothing is not None:
-            gradients.append(self._rasterizer.roughness_gradient(alpha, depth, item.smoothing))
+            gradients.append(self._losses.roughness_gradient(alpha, depth, item.smoothing))
         if item.beside is not None:
             gradients.append(self._from_beside(item.beside, alpha, depth))
         (in_alpha, in_depth), *others = gradients
@@ -96,7 +94,7 @@ class DepthTerms:
     def _from_beside(self, beside: Beside, alpha: Any, depth: Any) -> tuple[Any, Any]:
         tensors = dict(self._params.items())
         render = self._rasterizer.render(self._params, beside.camera, **self._options)
-        in_alpha, in_depth, in_rgb = self._rasterizer.binocular_gradient(
+        in_alpha, in_depth, in_rgb = self._losses.binocular_gradient(
             alpha, depth, render, self._item.target, beside.moves, beside.tolerance, beside.weight
         )
         weighted = _Weighted.apply(render.rgb, torch.as_tensor(in_rgb))
@@ -142,7 +140,7 @@ def screen_gradient(
 
     def image_gradient(rgb: Any) -> Any:
         nonlocal loss
-        loss, gradient = rasterizer.loss_gradient(
+        loss, gradient = rasterizer.losses().loss_gradient(
             rgb, item.target, rendering.ssim_weight, view.weight
         )
         check_loss(loss, where, params)
@@ -215,7 +213,8 @@ def _by_autograd(
     view, rasterizer = item.view, rendering.rasterizer
     offset = params.means.new_zeros(len(params), 2, requires_grad=True)
     render = rasterizer.render(params, view.camera, means2d_offset=offset, **rendering.options())
-    loss = rasterizer.loss(render.rgb, item.target, rendering.ssim_weight) * view.weight
+    loss = rasterizer.losses().photometric_loss(render.rgb, item.target, rendering.ssim_weight)
+    loss = loss * view.weight
     photometric = float(loss.detach())
     check_loss(photometric, where, params)
     loss = loss + penalty(view, render)  # the plugin's call checks that it is finite

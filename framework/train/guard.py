@@ -1,8 +1,6 @@
 """Detects divergence: the training ends at the first step whose loss, gradients, moments or
 parameters are not finite, with a message that names them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

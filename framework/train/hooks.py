@@ -1,7 +1,5 @@
 """Checked calls of plugin hooks: a mistake in a plugin becomes one line that names the hook."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

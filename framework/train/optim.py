@@ -4,10 +4,7 @@ Kingma & Ba 2015, "Adam", algorithm 1, with the constants of 3DGS: beta = (0.9, 
 Plain twin: `torch.optim.Adam` (tests compare).
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -18,7 +15,7 @@ from framework.compute.parallel import BLOCKS, run_blocks, threads
 from framework.kernels import ScreenGradient, give_back
 from framework.kernels.lending import aligned
 from framework.train.adam_kernels import BETA1, BETA2, CHUNK, adam_kernel, pull_back_and_step
-from framework.train.optimizer import AdamState, Optimizer
+from framework.train.optimizer import AdamState, Grads, Names, Optimizer, Rates, check_fits
 from framework.types import Gaussians
 
 # replaces a tensor without gradient: tuples of another length would be compiled again
@@ -35,13 +32,7 @@ class Adam(Optimizer):
         self._scratch: list[tuple[np.ndarray]] = []
         self._banded = False  # whether shN ever had a gradient
 
-    def step(
-        self,
-        params: Gaussians,
-        grads: Gaussians | Mapping[str, Tensor | None],
-        rates: Mapping[str, float],
-        opacity_decay: float = 1.0,
-    ) -> tuple[str, ...]:
+    def step(self, params: Gaussians, grads: Grads, rates: Rates, decay: float = 1.0) -> Names:
         """See `Optimizer`.
 
         Raises:
@@ -55,7 +46,7 @@ class Adam(Optimizer):
             if gradient is None:
                 rows.append(_NOTHING)
                 continue
-            _check(name, gradient, parameter)
+            check_fits(name, gradient, parameter)
             self._banded |= name == "shN"
             self._steps[name] += 1
             self._coefficients[k] = _coefficients(self._steps[name], rates[name])
@@ -63,13 +54,13 @@ class Adam(Optimizer):
             rows.append((p, _flat(gradient.contiguous()), m, v))
         p, g, m, v = zip(*rows, strict=True)
         broken = np.zeros((BLOCKS, len(rows)), dtype=np.int32)
-        logits, decay = _flat(params.opacity_logits), np.float32(opacity_decay)
-        run_blocks(adam_kernel, p, g, m, v, self._coefficients, broken, logits, decay)
+        logits, fading = _flat(params.opacity_logits), np.float32(decay)
+        run_blocks(adam_kernel, p, g, m, v, self._coefficients, broken, logits, fading)
         return self._names(broken)
 
     def step_from(
-        self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
-    ) -> tuple[tuple[str, ...], Tensor]:
+        self, gradient: RenderGradient, rates: Rates, decay: float = 1.0
+    ) -> tuple[Names, Tensor]:
         """See `Optimizer`: the gradient never is in memory as a whole, a few Gaussians' at a time
         is used while the cache has it.
 
@@ -98,7 +89,7 @@ class Adam(Optimizer):
             self._coefficients,
             self._banded,
             broken,
-            np.float32(opacity_decay),
+            np.float32(decay),
             scratch=self._own(CHUNK * (15 + 3 * params.shN.shape[1])),
         )
         give_back(work)
@@ -111,10 +102,10 @@ class Adam(Optimizer):
     def _own(self, size: int) -> list[tuple[np.ndarray]]:
         """Scratch for every thread."""
         if len(self._scratch) != threads() or len(self._scratch[0][0]) != size:
-            self._scratch = [(aligned((size,), np.float32),) for _ in range(threads())]
+            self._scratch = [(aligned((size,)),) for _ in range(threads())]
         return self._scratch
 
-    def _names(self, broken: np.ndarray) -> tuple[str, ...]:
+    def _names(self, broken: np.ndarray) -> Names:
         return tuple(name for name, n in zip(self._steps, broken.sum(0), strict=True) if n > 0)
 
     def _views_of(self, params: Gaussians) -> list[tuple[np.ndarray, ...]]:
@@ -127,7 +118,7 @@ class Adam(Optimizer):
         views: list[tuple[np.ndarray, ...]] = []
         for name, parameter in params.items():
             first, second = getattr(self._first, name), getattr(self._second, name)
-            _check(name, first, parameter)
+            check_fits(name, first, parameter)
             if not parameter.is_contiguous():
                 raise ValueError(
                     f"Adam.{name}: expected a contiguous parameter, to update it in place"
@@ -144,15 +135,3 @@ def _coefficients(step: int, rate: float) -> tuple[float, float]:
 def _flat(tensor: Tensor) -> np.ndarray:
     """A flat view of the same memory."""
     return tensor.detach().numpy().reshape(-1)
-
-
-def _check(name: str, tensor: Tensor, parameter: Tensor) -> None:
-    """That a gradient or a moment fits its parameter."""
-    if tensor.shape != parameter.shape:
-        raise ValueError(
-            f"Adam.{name}: expected one shape for parameter, gradient and moments, got"
-            f" {tuple(parameter.shape)} and {tuple(tensor.shape)}; call edit() when the set of"
-            " Gaussians changes"
-        )
-    if parameter.dtype != torch.float32 or tensor.dtype != torch.float32:
-        raise ValueError(f"Adam.{name}: expected float32, got {parameter.dtype} and {tensor.dtype}")

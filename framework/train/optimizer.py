@@ -1,8 +1,6 @@
 """What every Adam of a training has, whatever computes its step: the moments, and how they follow
 a set of Gaussians that changes."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +10,10 @@ from torch import Tensor
 
 from framework.backends import RenderGradient
 from framework.types import Gaussians, edited
+
+Grads = Mapping[str, Tensor | None] | Gaussians  # by name of a parameter
+Rates = Mapping[str, float]
+Names = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -39,15 +41,9 @@ class Optimizer(ABC):
         self._steps = dict.fromkeys((name for name, _ in gaussians.items()), 0)
 
     @abstractmethod
-    def step(
-        self,
-        params: Gaussians,
-        grads: Gaussians | Mapping[str, Tensor | None],
-        rates: Mapping[str, float],
-        opacity_decay: float = 1.0,
-    ) -> tuple[str, ...]:
-        """Update `params` in place, then multiply the activated opacities by `opacity_decay` in
-        (0, 1]; returns the names of tensors with a value or a second moment that is not finite now,
+    def step(self, params: Gaussians, grads: Grads, rates: Rates, decay: float = 1.0) -> Names:
+        """Update `params` in place, then multiply the activated opacities by `decay` in (0, 1];
+        returns the names of tensors with a value or a second moment that is not finite now,
         which a gradient that is not finite always causes.
 
         Args:
@@ -61,8 +57,8 @@ class Optimizer(ABC):
 
     @abstractmethod
     def step_from(
-        self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
-    ) -> tuple[tuple[str, ...], Tensor]:
+        self, gradient: RenderGradient, rates: Rates, decay: float = 1.0
+    ) -> tuple[Names, Tensor]:
         """`step` of `gradient.gaussians`, in place, by what `gradient.pull_back` returns: the same
         bits. Uses `gradient` up.
 
@@ -94,6 +90,18 @@ class Optimizer(ABC):
             moments.clone().to(device) for moments in (state.first, state.second)
         )
         self._steps = dict(zip(self._steps, state.steps, strict=True))
+
+
+def check_fits(name: str, tensor: Tensor, parameter: Tensor) -> None:
+    """Raise ValueError unless a gradient or a moment has the shape and type of its parameter."""
+    if tensor.shape != parameter.shape:
+        raise ValueError(
+            f"Adam.{name}: expected one shape for parameter, gradient and moments, got"
+            f" {tuple(parameter.shape)} and {tuple(tensor.shape)}; call edit() when the set of"
+            " Gaussians changes"
+        )
+    if parameter.dtype != torch.float32 or tensor.dtype != torch.float32:
+        raise ValueError(f"Adam.{name}: expected float32, got {parameter.dtype} and {tensor.dtype}")
 
 
 def _none_yet(tensor: Tensor) -> Tensor:

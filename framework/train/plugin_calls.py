@@ -4,8 +4,6 @@ A plugin is called only between its framework keys `start` and `stop`. Its state
 the first call. The trainer uses a result only after `hooks` has checked it.
 """
 
-from __future__ import annotations
-
 import functools
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -4,8 +4,6 @@ Rates are the options' times `lr_scale`: the means' decays exponentially over th
 (Kerbl et al. 2023), the others' over its second half.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

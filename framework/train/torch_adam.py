@@ -1,9 +1,6 @@
 """Adam in torch, for parameters on any device: the arithmetic of `framework.train.adam_kernels`."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -11,7 +8,7 @@ from torch import Tensor
 from framework.backends import Rasterizer, RenderGradient
 from framework.train.adam_kernels import BETA1, BETA2, EPS, LOWEST_LOGIT
 from framework.train.optim import Adam
-from framework.train.optimizer import Optimizer
+from framework.train.optimizer import Grads, Names, Optimizer, Rates, check_fits
 from framework.types import Gaussians
 
 
@@ -24,13 +21,7 @@ class TorchAdam(Optimizer):
     """`optim.Adam` in torch."""
 
     @torch.no_grad()
-    def step(
-        self,
-        params: Gaussians,
-        grads: Gaussians | Mapping[str, Tensor | None],
-        rates: Mapping[str, float],
-        opacity_decay: float = 1.0,
-    ) -> tuple[str, ...]:
+    def step(self, params: Gaussians, grads: Grads, rates: Rates, decay: float = 1.0) -> Names:
         """See `Optimizer`."""
         gradients = {name: gradient for name, gradient in grads.items() if gradient is not None}
         if not gradients:
@@ -40,7 +31,8 @@ class TorchAdam(Optimizer):
             [getattr(of, name) for name in names] for of in (params, self._first, self._second)
         )
         for name, gradient, parameter, moment in zip(names, pull, at, first, strict=True):
-            _check(name, gradient, parameter, moment)
+            check_fits(name, gradient, parameter)
+            check_fits(name, moment, parameter)
             self._steps[name] += 1
         rate = [-rates[name] / (1 - BETA1 ** self._steps[name]) for name in names]
         correction = [1 / math.sqrt(1 - BETA2 ** self._steps[name]) for name in names]
@@ -57,16 +49,16 @@ class TorchAdam(Optimizer):
         sizes = torch.stack(torch._foreach_norm([*at, *second], 1)).isfinite().tolist()
         whole = [a and b for a, b in zip(sizes, sizes[len(names) :], strict=False)]
         broken = tuple(name for name, fine in zip(names, whole, strict=True) if not fine)
-        if opacity_decay < 1 and not broken:
-            _fade(params.opacity_logits, opacity_decay)
+        if decay < 1 and not broken:
+            _fade(params.opacity_logits, decay)
         return broken
 
     def step_from(
-        self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
-    ) -> tuple[tuple[str, ...], Tensor]:
+        self, gradient: RenderGradient, rates: Rates, decay: float = 1.0
+    ) -> tuple[Names, Tensor]:
         """See `Optimizer`."""
         tensors, means2d = gradient.pull_back()
-        return self.step(gradient.gaussians, tensors, rates, opacity_decay), means2d
+        return self.step(gradient.gaussians, tensors, rates, decay), means2d
 
 
 def _fade(logits: Tensor, decay: float) -> None:
@@ -74,13 +66,3 @@ def _fade(logits: Tensor, decay: float) -> None:
     bounded = logits.clamp(min=LOWEST_LOGIT)
     decayed = math.log(decay) - (1 - decay + (-bounded).exp()).log()
     logits.copy_(decayed.clamp(min=LOWEST_LOGIT))
-
-
-def _check(name: str, gradient: Tensor, parameter: Tensor, moment: Tensor) -> None:
-    """That they fit each other."""
-    if not gradient.shape == parameter.shape == moment.shape:
-        raise ValueError(
-            f"Adam.{name}: expected one shape for parameter, gradient and moments, got"
-            f" {tuple(parameter.shape)}, {tuple(gradient.shape)} and {tuple(moment.shape)}; call"
-            " edit() when the set of Gaussians changes"
-        )

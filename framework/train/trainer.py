@@ -15,8 +15,6 @@ The trainer has a `TrainingSet`, so test views cannot be reached from here; `eva
 that is given only the Gaussians.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable
@@ -28,7 +26,7 @@ from torch import Tensor
 from framework.backends import NUMBA, Rasterizer
 from framework.compute.stopwatch import Stopwatch
 from framework.errors import require
-from framework.initialize import background_color, random_background
+from framework.initialize.background import background_color, random_background
 from framework.options import TrainerOptions
 from framework.plugin import Edits, StepStats
 from framework.records.progress import Progress

@@ -3,8 +3,6 @@
 A page on this machine only (127.0.0.1), or with --static a file that shows the same anywhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

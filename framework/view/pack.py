@@ -13,8 +13,6 @@ Little-endian arrays, one after the other, then gzip:
 A picture of the packed Gaussians differs from one of the originals by far less than its 8 bits.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 from dataclasses import dataclass

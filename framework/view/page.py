@@ -4,8 +4,6 @@ As in reports, texts from outside are escaped and data is JSON without `<`. The 
 policy allows only the page's own script and style, by their hashes.
 """
 
-from __future__ import annotations
-
 import html
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The photos of a page: small WebP copies, within a budget of bytes for all of them."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Reads a run's folder for the page: record, Gaussians, cameras, paths of photos."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ browser here could let its name resolve to 127.0.0.1 to read what is served (DNS
 requests with another host name are refused.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -11,8 +11,6 @@ accumulators `z_min` [blocks, cells] and `sums` [blocks, 5 cells], float32, flat
 point; its values are ignored.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import inlined, kernel
@@ -27,17 +25,7 @@ CUTOFF = np.float32(6.0)  # exp(-6) = 0.0025: points further behind the nearest 
 
 
 @kernel
-def project(
-    block: int,
-    n_blocks: int,
-    inverse_depth: Array,
-    paints: Array,
-    matrix: Array,
-    u: Array,
-    v: Array,
-    depth: Array,
-    bounds: Array,
-) -> None:
+def project(block, n_blocks, inverse_depth, paints, matrix, u, v, depth, bounds):
     """Target coordinates of every source pixel: (x, y, w) = matrix (col, row, 1, 1/z), z' = w z.
 
     Args:
@@ -69,17 +57,7 @@ def project(
 
 
 @kernel
-def nearest(
-    block: int,
-    n_blocks: int,
-    height: int,
-    width: int,
-    u: Array,
-    v: Array,
-    depth: Array,
-    bounds: Array,
-    z_min: Array,
-) -> None:
+def nearest(block, n_blocks, height, width, u, v, depth, bounds, z_min):
     """Lower z_min to the nearest depth among the points with a tap of at least MIN_TAP."""
     top, bottom = height * block // n_blocks, height * (block + 1) // n_blocks
     low, high, right = np.float32(top), np.float32(bottom + 1), np.float32(width + 1)
@@ -103,22 +81,22 @@ def nearest(
 
 @kernel
 def splat(
-    block: int,
-    n_blocks: int,
-    height: int,
-    width: int,
-    u: Array,
-    v: Array,
-    depth: Array,
-    bounds: Array,
-    color: Array,
-    inverse_depth: Array,
-    zoom: float,
-    subdivision: float,
-    temperature: float,
-    z_min: Array,
-    sums: Array,
-) -> None:
+    block,
+    n_blocks,
+    height,
+    width,
+    u,
+    v,
+    depth,
+    bounds,
+    color,
+    inverse_depth,
+    zoom,
+    subdivision,
+    temperature,
+    z_min,
+    sums,
+):
     """Add gain x bilinear x exp(-(z - z_min) / (temperature z_min)) x (r, g, b, z, 1) to sums.
 
     Args:
@@ -152,24 +130,14 @@ def splat(
 
 
 @inlined
-def _lower(band: Array, cell: int, tap: np.float32, z: np.float32) -> None:
+def _lower(band, cell, tap, z):
     index = np.uint64(cell)
     if tap >= MIN_TAP and z < band[index]:
         band[index] = z
 
 
 @inlined
-def _add(
-    total: Array,
-    front: Array,
-    cell: int,
-    weight: np.float32,
-    rate: np.float32,
-    r: np.float32,
-    g: np.float32,
-    b: np.float32,
-    z: np.float32,
-) -> None:
+def _add(total, front, cell, weight, rate, r, g, b, z):
     """One tap. Points more than CUTOFF temperatures behind the nearest one are hidden; one before
     it (its own tap was too small to hide anything) is not attenuated."""
     nearest_z = front[np.uint64(cell)]
@@ -187,7 +155,7 @@ def _add(
 
 
 @inlined
-def _decay(x: np.float32) -> np.float32:
+def _decay(x):
     """exp(-x) for 0 <= x <= CUTOFF, as the Taylor polynomial of exp(-x / 8) to the eighth power.
 
     Within 0.5 % (4e-8 up to x = 1); from plain operations, so the same bits on any platform.
@@ -203,17 +171,7 @@ def _decay(x: np.float32) -> np.float32:
 
 
 @kernel
-def resolve(
-    block: int,
-    n_blocks: int,
-    sums: Array,
-    min_weight: float,
-    brightest: float,
-    image: Array,
-    depth: Array,
-    weight: Array,
-    valid: Array,
-) -> None:
+def resolve(block, n_blocks, sums, min_weight, brightest, image, depth, weight, valid):
     """Divide by the accumulated weight where it is at least `min_weight`; zero elsewhere. What is
     mixed is no brighter than the `brightest`, but for rounding.
 

@@ -1,7 +1,5 @@
 """Every rasterizer that can run here, for tests of the contract."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import nullcontext
 

@@ -4,8 +4,6 @@ Written after its kernels (`ProjectionEWA3DGSFused.cu`, `IntersectTile.cu`,
 `RasterizeToPixels3DGSFwd.cu`), with their constants; what those leave undefined is NaN here.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Every rasterizer gives what the kernels give: image, depth, radii, gradients, information."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -67,11 +65,11 @@ def test_gradients(rasterizer: Rasterizer, seed: int, degree: int | None) -> Non
     mask = sure(case).float()
 
     def taken(who: Rasterizer) -> tuple[float, dict[str, Tensor], Tensor, Tensor]:
-        target, loss = who.target(photo, mask), 0.0
+        target, loss = who.losses().target(photo, mask, who.device), 0.0
 
         def image_gradient(rgb: object) -> object:
             nonlocal loss
-            loss, gradient = who.loss_gradient(rgb, target, 0.2, 0.7)
+            loss, gradient = who.losses().loss_gradient(rgb, target, 0.2, 0.7)
             return gradient
 
         placed = case.gaussians.to(who.device)
@@ -92,25 +90,6 @@ def test_gradients(rasterizer: Rasterizer, seed: int, degree: int | None) -> Non
     assert torch.allclose(ours[3], theirs[3], rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("seed", SEEDS)
-def test_information(rasterizer: Rasterizer, seed: int, masked: bool) -> None:
-    """The kernels' own, whose truth is in tests/numerics/test_fisher.py, on the CPU."""
-    case = scene(seed)
-    size = case.camera.height, case.camera.width
-    mask = (torch.rand(size, generator=_draws(seed)) > 0.4).float() if masked else None
-    inputs = {"background": case.background, "mask": mask}
-    ours = NUMBA.fisher(case.gaussians, case.camera, **inputs)
-    theirs = rasterizer.fisher(case.gaussians, case.camera, **inputs)
-    assert torch.equal(ours.visible, theirs.visible)
-    for mine, other in ((ours.block, theirs.block), (ours.diagonal, theirs.diagonal)):
-        assert other.device.type == "cpu" and other.dtype == torch.float32
-        scale = mine.abs().flatten(1).amax(1).clamp(min=1e-12)
-        error = ((mine - other).abs().flatten(1).amax(1) / scale).sort().values
-        # a pair at a cut-off is one more or less: of one Gaussian in twenty at most
-        assert error[: int(0.95 * len(error))].max() < 1e-3, error[-5:]
-
-
 def _draws(seed: int) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
@@ -124,8 +103,8 @@ def test_a_loss_of_all_that_is_rendered(rasterizer: Rasterizer) -> None:
         offset = leaves.means.new_zeros(len(leaves), 2, requires_grad=True)
         at = sure(case).to(who.device)
         seen: Render = who.render(leaves, case.camera, means2d_offset=offset, **how(case))
-        target = who.target(torch.full((3, *at.shape), 0.4), None)
-        term = who.loss(seen.rgb * at, target, 0.2) + (seen.alpha * at).mean()
+        target = who.losses().target(torch.full((3, *at.shape), 0.4), None, who.device)
+        term = who.losses().photometric_loss(seen.rgb * at, target, 0.2) + (seen.alpha * at).mean()
         term = term + 0.1 * (seen.depth * at).square().mean()
         tensors = [t for _, t in leaves.items()]
         return [g.cpu() for g in torch.autograd.grad(term, [*tensors, offset])]

@@ -4,8 +4,6 @@ Its functions take what we give them, and its own versions in torch compute what
 other tests does.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterator
 from pathlib import Path

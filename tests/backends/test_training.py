@@ -1,7 +1,5 @@
 """A training over every rasterizer: as with the kernels, with every plugin, from a checkpoint."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from functools import partial

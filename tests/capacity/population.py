@@ -1,7 +1,5 @@
 """A step context of the capacities that look at the images: the stage's views and true Fisher."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -1,7 +1,5 @@
 """Adaptive density control on hand-made Gaussians whose fate is known."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

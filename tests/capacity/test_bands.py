@@ -1,7 +1,5 @@
 """What SH bands gain and cost: against least squares on the images and dense determinants."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A hard number of Gaussians: reached on time, by dropping what the images would not miss."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,8 +1,6 @@
 """Evidence decides: the terms against their definitions, and what is left of known scenes: a plane,
 a constant colour, noise."""
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`capacity.bytes`: the compact file of a run is no larger, whatever is trained and joined."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

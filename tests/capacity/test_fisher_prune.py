@@ -1,7 +1,5 @@
 """PUP-3DGS: how many are dropped when, and which."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

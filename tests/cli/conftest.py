@@ -1,7 +1,5 @@
 """Runs that only note their configuration, in a folder of their own."""
 
-from __future__ import annotations
-
 import copy
 import functools
 from dataclasses import dataclass, field

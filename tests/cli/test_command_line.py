@@ -1,7 +1,5 @@
 """What may be typed, and which runs and folders come of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The typed configuration: every choice composes, and a run's name contains what changed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

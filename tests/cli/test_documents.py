@@ -1,7 +1,5 @@
 """The documents are correct: their commands run."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The program's name, version, subcommands and the user's own plugins."""
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

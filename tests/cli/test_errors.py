@@ -1,7 +1,5 @@
 """Bad input: one line that says where and what, exit code 2, and nothing left behind."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

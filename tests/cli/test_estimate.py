@@ -1,7 +1,5 @@
 """The time that a study prints before and after its runs."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

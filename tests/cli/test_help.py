@@ -1,7 +1,5 @@
 """`--help` explains every option."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import pytest

@@ -1,7 +1,5 @@
 """What breaks with a newer Hydra: the private parts that `hydra_inside` reaches into."""
 
-from __future__ import annotations
-
 from framework.command.config.schema import ROOT
 from framework.command.hydra_inside import argument_parser
 

@@ -1,7 +1,5 @@
 """Hydra's command line: valid uses work."""
 
-from __future__ import annotations
-
 import pytest
 
 from framework.command.cli import main

@@ -1,7 +1,5 @@
 """Several regularizers, or capacities, in one run: `reg=[uar,uniform]`."""
 
-from __future__ import annotations
-
 from framework import registry
 from framework.command.cli import main
 from framework.command.config.check import check

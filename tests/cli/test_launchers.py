@@ -1,7 +1,5 @@
 """A launcher starts fresh processes: registry, folder names and failures must reach them."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

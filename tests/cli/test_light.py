@@ -1,7 +1,5 @@
 """Help, configuration and errors answer at once: nothing heavy is imported for them."""
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess

@@ -1,7 +1,5 @@
 """Presets and methods: bundles of choices and options that compose with everything else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

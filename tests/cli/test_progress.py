@@ -1,7 +1,5 @@
 """The progress line: sparse on a pipe, in place on a terminal."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 

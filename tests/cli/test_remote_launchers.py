@@ -1,7 +1,5 @@
 """Runs sent to other processes by submitit and Ray, and studies that outlive their command."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

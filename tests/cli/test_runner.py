@@ -1,7 +1,5 @@
 """A command from its arguments to the exit code, with a stand-in for the training."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """`fishersplat search`: its space, that no test view chooses, and that a kill loses nothing."""
 
-from __future__ import annotations
-
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Words of a newcomer: odd letters in paths, flags anywhere, what replaces a part of a method."""
 
-from __future__ import annotations
-
 import pytest
 
 from framework.command.cli import main

@@ -1,7 +1,5 @@
 """A run survives the loss of its output, and an interrupt at its start is one line."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

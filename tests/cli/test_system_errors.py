@@ -1,7 +1,5 @@
 """What the system, Hydra's grammar or the memory refuse ends in one line, never in a traceback."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 

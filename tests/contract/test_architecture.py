@@ -1,8 +1,6 @@
 """docs/architecture.md is correct: its files and names exist, its packages are complete. The
 files and names in CONTRIBUTING.md and README.md exist, too."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Benchmarks are run by hand: what they name in the framework must still be there."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import importlib

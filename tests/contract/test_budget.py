@@ -1,7 +1,5 @@
 """`trainer.seconds`: what is chosen, that it is kept, and that its steps repeat the run."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The examples of CONTRIBUTING.md, installed as another package would be, and trained with."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

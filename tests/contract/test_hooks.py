@@ -1,7 +1,5 @@
 """A mistake in somebody's plugin ends in one line that names the plugin and the hook."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar

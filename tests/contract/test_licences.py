@@ -1,7 +1,5 @@
 """Nothing that the project depends on may be copyleft, as the project itself is under MIT."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from importlib.metadata import PackageNotFoundError, distribution, metadata

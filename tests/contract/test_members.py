@@ -1,7 +1,5 @@
 """Several trainings whose Gaussians are joined: `trainer.members`."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator

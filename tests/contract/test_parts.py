@@ -1,8 +1,6 @@
 """What every scene loader, depth provider, initializer and metric must do, whoever wrote it: the
 project's own, those in `plugins/`, and the examples of the tutorial."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.util
 import sys

@@ -1,7 +1,5 @@
 """What every discovered plugin must do, whoever wrote it."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from typing import Literal

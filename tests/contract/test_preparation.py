@@ -1,7 +1,5 @@
 """The stages before a training: what a run says about the user's own photos."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 

@@ -1,7 +1,5 @@
 """Every plugin's state goes through a checkpoint file and the training ends with the same bits."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

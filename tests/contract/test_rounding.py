@@ -1,8 +1,6 @@
 """What a training computes is rounded alike by every processor: no function comes from a library
 that rounds it by the processor, or by its maker (docs/bits.md)."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +27,7 @@ NO_TRAINING = (
         "types.py",
     ),
     # twins in PyTorch and NumPy, for tests and other devices
-    *("kernels/reference.py", "backends", "fisher/in_torch.py", "train/torch_adam.py"),
+    *("kernels/reference.py", "backends", "train/torch_adam.py"),
     "compute/tensors.py",  # PyTorch's on other devices
 )
 

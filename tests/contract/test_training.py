@@ -4,8 +4,6 @@ Twenty steps on three tiny views of a plane, long enough for the methods whose s
 shortened by `EAGER`; a plugin without an entry there trains with its defaults.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import hashlib

@@ -1,7 +1,5 @@
 """A built wheel holds all that the program needs, and runs from an empty folder."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 The cameras differ in size, focal lengths (non-square pixels) and principal point (off centre).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

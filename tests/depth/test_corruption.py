@@ -1,13 +1,11 @@
 """Depth made worse on purpose: the identity at 0, the stated error at 1, the same draws again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
 
 from framework.depth.corruption import BLUR_LENGTH, NOISE, corrupt
-from framework.depth.provider import CORRUPTIONS
+from framework.depth.options import CORRUPTIONS
 from framework.types import DepthMap
 from tests.built import build_provider
 from tests.depth.plane import plane_scene

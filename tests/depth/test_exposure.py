@@ -1,8 +1,6 @@
 """Photos that were exposed differently: gains are found from shared surfaces, and new views are
 exposed like the photos around them."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Sequence

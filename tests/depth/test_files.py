@@ -1,7 +1,5 @@
 """Depth from files and from the scene: round trips, alignment, and one clear line per error."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

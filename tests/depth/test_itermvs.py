@@ -1,7 +1,5 @@
 """IterMVS agrees with its reference implementation, and depth is used only where it is sure."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

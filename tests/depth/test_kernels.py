@@ -1,7 +1,5 @@
 """Each plane-sweep kernel against its plain numpy twin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

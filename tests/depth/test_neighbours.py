@@ -1,7 +1,5 @@
 """Which views are matched, and between which depths."""
 
-from __future__ import annotations
-
 from framework.depth.matching.neighbours import choose_neighbours
 from framework.types import TrainingSet
 from tests.depth.plane import FAR, NEAR, camera, no_points, view

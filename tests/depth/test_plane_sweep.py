@@ -1,7 +1,5 @@
 """The plane sweep on a scene with exact depth: accuracy, laws, and the errors it raises."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses that do not fit the photos are found before any training, and the repair is named."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 
@@ -14,8 +12,7 @@ from framework.depth.pose_check import LIMIT, check_poses
 from framework.errors import UserError
 from framework.run import poses
 from framework.scenes.assemble import Tracks
-from framework.scenes.conventions import decoded_as, repaired
-from framework.scenes.options import CONVENTIONS
+from framework.scenes.conventions import CONVENTIONS, decoded_as, repaired
 from framework.scenes.points import depth_bounds
 from framework.types import Camera, TrainingSet
 

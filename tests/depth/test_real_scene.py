@@ -1,7 +1,5 @@
 """The plane sweep on a photographed pair with measured depth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

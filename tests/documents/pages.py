@@ -1,7 +1,5 @@
 """The code blocks of a page: files for the reader to write, and commands to type."""
 
-from __future__ import annotations
-
 import math
 import re
 import shlex

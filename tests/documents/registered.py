@@ -1,7 +1,5 @@
 """Plugins that a test registers are gone after it."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

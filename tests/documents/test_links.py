@@ -1,8 +1,6 @@
 """No link of the documents is broken: its file is there, and its heading. Needs no extra; the site
 is built by `test_site.py` where the extra `docs` is installed."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The documentation builds as a site, offline, without a broken link."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

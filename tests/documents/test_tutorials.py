@@ -1,7 +1,5 @@
 """Every block of the tutorials runs, in their order, as a reader would type it, only smaller."""
 
-from __future__ import annotations
-
 import subprocess
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Folders of runs with a few Gaussians, for whoever reads them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

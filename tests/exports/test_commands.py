@@ -1,7 +1,5 @@
 """`fishersplat video` and `render`: what they write, and what they say to bad input."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

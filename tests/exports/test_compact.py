@@ -1,7 +1,5 @@
 """`fishersplat export --compact`: smaller than SPZ, and no worse than it says."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What other programs open: values after a round trip, axes, first view, background."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Ways of a camera: which suits, that it is smooth, closed and where it should be."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from pathlib import Path

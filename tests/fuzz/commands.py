@@ -1,8 +1,6 @@
 """What the subcommands and `scene=photos` read: a run of which a video, pictures or files are
 made, and photos."""
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 from collections.abc import Callable, Iterator

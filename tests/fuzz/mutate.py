@@ -1,7 +1,5 @@
 """Mutations of a file's bytes, and what may be in a file's place and is no file."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

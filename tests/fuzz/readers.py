@@ -1,7 +1,5 @@
 """Every reader of a file from elsewhere, with a valid example of what it reads."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

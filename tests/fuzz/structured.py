@@ -1,8 +1,6 @@
 """Mutations that keep a format's outer shell whole, so that what lies behind it is reached: another
 value in a JSON tree or a table, another array behind a right `.npy` header."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -8,8 +8,6 @@ of CPU time (SIGPROF ends the process), 60 s by the clock (SIGALRM) and 1 GiB mo
 example.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource

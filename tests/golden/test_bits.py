@@ -4,8 +4,6 @@ A change that is meant to change numbers commits the new ones with it:
 `python benchmarks/safety/determinism.py --update`.
 """
 
-from __future__ import annotations
-
 import json
 import platform
 

@@ -1,8 +1,6 @@
 """What methods of the literature need: several plugins, a second field, other renders, steps and
 gradients."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar

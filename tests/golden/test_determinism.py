@@ -1,7 +1,5 @@
 """The same configuration gives the same bits, on any thread count; another one gives others."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Pseudo views as training examples of their own, and how much of a method a training got."""
 
-from __future__ import annotations
-
 import itertools
 import logging
 from collections.abc import Iterator

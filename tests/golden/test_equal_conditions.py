@@ -3,8 +3,6 @@
 That one more plugin moves no other draw is in `tests/contract/test_training.py`.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The trainer on three tiny views of a plane: what may change its result and what may not."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A tiny run on every photo of a folder, from the command to the report."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Warnings about choices without effect, and limits that always hold."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from dataclasses import replace

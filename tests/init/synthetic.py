@@ -1,7 +1,5 @@
 """A scene with exact depth: a wall at z = 6 and a square board in front of it at z = 4."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

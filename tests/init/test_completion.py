@@ -1,7 +1,5 @@
 """Guesses where depth is missing: they continue what is around, behind all that others see."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

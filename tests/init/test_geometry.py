@@ -1,7 +1,5 @@
 """Geometry against scipy, hand-computed values, round trips and float64 gradient checks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

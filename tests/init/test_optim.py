@@ -1,7 +1,5 @@
 """Adam against torch.optim.Adam, across thread counts, and through changes of the set."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 
@@ -126,7 +124,7 @@ def test_opacity_decay_multiplies_opacities_on_any_thread_count() -> None:
         for threads in (1, 3):
             set_threads(threads)
             params = gaussians(1001, "test/params").replace(opacity_logits=start.clone())
-            Adam(params).step(params, grads, RATES, opacity_decay=0.99)
+            Adam(params).step(params, grads, RATES, decay=0.99)
             results.append(params)
         assert equal(*results)
         expected = 0.99 * updated.opacity_logits.sigmoid()

@@ -1,7 +1,5 @@
 """Laws of the sampling: whole budgets, exact inclusion probabilities."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

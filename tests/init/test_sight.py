@@ -1,7 +1,5 @@
 """The kernels of `sight` against the same rules in torch, on random depth: the same bits."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`init=sparse`, the background colours and the registry of initialisations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,8 @@ import pytest
 import torch
 
 from framework.errors import UserError
-from framework.initialize import Sparse, background_color
+from framework.initialize import Sparse
+from framework.initialize.background import background_color
 from framework.types import Gaussians
 from tests.init.synthetic import camera, points, scene
 

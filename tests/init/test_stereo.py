@@ -1,7 +1,5 @@
 """`init=stereo` on a scene whose surfaces are known exactly."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

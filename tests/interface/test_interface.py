@@ -1,7 +1,5 @@
 """The Python interface does what the command line does."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """SHA-256 of what steps compute and of Fisher information; `python -m tests.laws.render_bits N` has
 that of steps."""
 
-from __future__ import annotations
-
 import hashlib
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Compiled kernels compute what their source says: as Python itself, which runs it line by line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from types import ModuleType

@@ -1,8 +1,6 @@
 """The name of the kernels' cache changes with all that is compiled into them, and with nothing
 else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """How rates and decay follow the number of steps and views: `framework.train.schedule.paced`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """What `run_blocks` gives every block, `run_tasks` and `run_together` every task."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

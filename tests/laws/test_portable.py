@@ -1,7 +1,5 @@
 """The portable functions against NumPy's, SciPy's and the definitions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What must hold for every scene: of the kernels in float32, of the reference in float64."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A render and its gradients have the same bits on any number of threads and in any process."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 """Only some Gaussians have SH bands above 0: the others are as if theirs were zero, and stored
 without."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

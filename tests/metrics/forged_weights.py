@@ -1,7 +1,5 @@
 """The package that LPIPS weights come from, made by the test with a few random channels."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import pickle

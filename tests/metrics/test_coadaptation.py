@@ -1,7 +1,5 @@
 """The co-adaptation score and AVGE by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

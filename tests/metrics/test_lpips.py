@@ -1,8 +1,6 @@
 """LPIPS with small random weights in the authors' layout, against torch modules stacked as the
 VGG-16 and AlexNet feature extractors are."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

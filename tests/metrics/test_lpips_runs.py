@@ -1,8 +1,6 @@
 """LPIPS in runs: measured from what is saved, never a reason to train again, never a number that a
 record cannot hold."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

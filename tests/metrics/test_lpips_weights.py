@@ -1,7 +1,5 @@
 """LPIPS weights come into the cache from a package that is checked and never executed."""
 
-from __future__ import annotations
-
 import importlib.util
 import pickle
 import subprocess

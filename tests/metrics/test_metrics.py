@@ -1,7 +1,5 @@
 """The metrics against scikit-image, closed forms and the FLIP package, in the stated protocol."""
 
-from __future__ import annotations
-
 import math
 
 import flip_evaluator

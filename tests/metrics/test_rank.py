@@ -1,7 +1,5 @@
 """The effective rank of Gaussians is 1 for needles, 2 for discs, 3 for balls."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

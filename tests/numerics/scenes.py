@@ -4,8 +4,6 @@ All numbers are exactly representable in float32, also the camera's, so that a f
 implementation get the same scene and differ by their arithmetic alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The absolute gradient on the screen against autograd, pixel by pixel, and who measures it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

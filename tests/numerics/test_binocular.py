@@ -1,7 +1,5 @@
 """Binocular consistency: the gradient, where the camera is, and when."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -75,8 +73,10 @@ def test_the_gradient_is_autograd_s(name: str, size: tuple[int, int]) -> None:
     if not total.requires_grad:  # nothing counts
         true = [torch.zeros_like(t) for t in wide]
     who = build_rasterizer({"rasterizer": {"name": name}})
-    target = who.target(photo, None)
-    actual = who.binocular_gradient(alpha, depth, shifted, target, MOVES, TOLERANCE, WEIGHT)
+    target = who.losses().target(photo, None, who.device)
+    actual = who.losses().binocular_gradient(
+        alpha, depth, shifted, target, MOVES, TOLERANCE, WEIGHT
+    )
     assert size[1] < 50 or all(t.abs().max() > 0 for t in true)
     for mine, exact in zip(actual, true, strict=True):
         error = (torch.as_tensor(mine) - exact).abs().max()
@@ -102,7 +102,9 @@ def test_where_a_mask_has_no_photo_nothing_is_asked(name: str) -> None:
     who = build_rasterizer({"rasterizer": {"name": name}})
     mask = torch.zeros_like(alpha)
     mask[20:] = 1
-    actual = who.binocular_gradient(alpha, depth, shifted, who.target(photo, mask), -3.7, 9.0, 0.3)
+    actual = who.losses().binocular_gradient(
+        alpha, depth, shifted, who.losses().target(photo, mask, who.device), -3.7, 9.0, 0.3
+    )
     for gradient in map(torch.as_tensor, actual):
         assert float(gradient[..., :20, :].abs().max()) == 0
         assert float(gradient[..., 20:, :].abs().max()) > 0
@@ -123,14 +125,14 @@ def test_the_step_s_gradient_is_that_of_both_renders() -> None:
         weight=WEIGHT,
     )
     how = {"background": case.background, "opacity_factors": case.factors}
-    item = Item(View("v", camera, photo), who.target(photo, None))
+    item = Item(View("v", camera, photo), who.losses().target(photo, None, who.device))
     watched = Item(item.view, item.target, beside=shifted)
 
     def penalty(view: View, render: Render) -> Tensor:
         return 0 * render.rgb.sum()
 
     ours, other = (who.render(params, c, **how) for c in (camera, shifted.camera))
-    actual = who.binocular_gradient(
+    actual = who.losses().binocular_gradient(
         ours.alpha.detach(),
         ours.depth.detach(),
         other,

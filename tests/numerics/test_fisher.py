@@ -5,8 +5,6 @@ reference, its outer products summed. The scenes keep away from the blending thr
 pixel more or less is lawful.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -15,7 +13,6 @@ import torch
 from torch import Tensor
 
 from framework.errors import UserError
-from framework.fisher.in_torch import fisher_in_torch
 from framework.fisher.information import FisherInformation, fisher_information
 from framework.fisher.scores import block_prior, information_gains, uncertainty
 from framework.kernels.reference import cutoff_margin, project, rasterize_reference
@@ -72,21 +69,10 @@ def brute_force(case: Case, sh_degree: int | None = None, mask: Tensor | float =
     return torch.einsum("pni,pnj->nij", jacobian, jacobian)
 
 
-@pytest.fixture(
-    params=[fisher_information, fisher_in_torch], ids=["kernels", "torch"], autouse=True
-)
-def _form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every test here is of the kernels and of their form in torch."""
-    monkeypatch.setitem(FORM, "fisher", request.param)
-
-
-FORM: dict[str, Any] = {"fisher": fisher_information}
-
-
 def information(
     case: Case, sh_degree: int | None = None, mask: Tensor | None = None
 ) -> FisherInformation:
-    return FORM["fisher"](  # type: ignore[no-any-return]
+    return fisher_information(
         case.gaussians, case.camera, background=case.background, sh_degree=sh_degree, mask=mask
     )
 
@@ -192,7 +178,7 @@ def test_nothing_in_view() -> None:
     behind = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]).double()) @ case.camera.viewmat
     kept = case.gaussians[information(case).visible]
     camera = Camera(behind, case.camera.K, case.camera.width, case.camera.height)
-    away = FORM["fisher"](kept, camera)
+    away = fisher_information(kept, camera)
     assert not away.visible.any() and not away.block.any() and not away.diagonal.any()
 
 
@@ -225,7 +211,7 @@ def scaled_scene(factor: float) -> tuple[Gaussians, list[Camera]]:
 def scores(factor: float) -> tuple[Tensor, list[float]]:
     """Uncertainty after three views; gains of the middle one, trace and log, diagonal and block."""
     gaussians, cameras = scaled_scene(factor)
-    views = [FORM["fisher"](gaussians, c, near=0.01 * factor) for c in cameras]
+    views = [fisher_information(gaussians, c, near=0.01 * factor) for c in cameras]
     unit = torch.tensor([2.0 * factor] * 3 + [1.0] * 11).double()
     diagonals = [view.diagonal * unit**2 for view in views]
     blocks = [view.block * unit[:6, None] * unit[:6] for view in views]

@@ -1,7 +1,5 @@
 """The gradient that training takes directly is that of autograd, bit for bit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

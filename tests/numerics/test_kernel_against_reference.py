@@ -4,8 +4,6 @@ Pixels that come within a relative BAND of a blending threshold are left out, in
 the loss whose gradient is compared: there the two may lawfully decide differently.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

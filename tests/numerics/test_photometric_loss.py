@@ -1,7 +1,5 @@
 """The L1 + SSIM kernel against a float64 torch implementation: value and gradient."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

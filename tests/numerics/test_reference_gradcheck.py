@@ -1,7 +1,5 @@
 """float64 gradcheck of the reference, on pixels away from the blending thresholds."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Depth that is smooth where its photo is: the formula, by hand and by autograd in float64."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Alpha from row to row by multiplications (`tiles.first_alphas`), beside the exponential."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

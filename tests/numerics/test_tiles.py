@@ -1,7 +1,5 @@
 """Which tiles a Gaussian touches, against a scalar twin, and never more than its box covers."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -68,11 +66,10 @@ def _counted(gaussians: Gaussians, camera: Camera, factors: Tensor) -> Workspace
     items = int(work.start[work.n_visible])
     work.items = np.full(items + 64, GUARD, np.int32)
     for block in range(BLOCKS):
-        lists = (work.items, work.touched, work.n_parts, work.histogram)
-        of_strips = (work.strip_items, work.strip_parts)
-        view = (work.start, work.width, work.height, work.strips)
+        n, size = work.n_visible, (work.width, work.height)
+        listed = work.order, work.start, work.touched, work.n_parts
         binning.count_tiles(
-            block, BLOCKS, work.n_visible, work.order, work.rows, *view, *lists, *of_strips
+            block, BLOCKS, n, size, work.rows, work.strips, work.items, listed, work.counts
         )
     assert (work.items[items:] == GUARD).all()
     return work

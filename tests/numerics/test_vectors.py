@@ -1,7 +1,5 @@
 """Kernels use the widest vectors of the CPU, unless the user says otherwise."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

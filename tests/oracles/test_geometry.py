@@ -1,7 +1,5 @@
 """Projection beside an independent library: means and covariances on the screen by kornia."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from kornia.geometry.camera.perspective import project_points

@@ -5,8 +5,6 @@ a Gaussian on the optical axis is centred on pixel (20, 10). With scale 0.02 at 
 is 100 / 2 x 0.02 = 1 px wide, and its variance with the dilation 1.3 px^2.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The SH basis against scipy's complex spherical harmonics."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

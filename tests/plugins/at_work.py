@@ -1,7 +1,5 @@
 """Step contexts that can render, and renders and depth that are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A step context without a trainer: a few Gaussians, the stage's views, an invented Fisher."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache

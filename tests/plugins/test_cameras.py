@@ -1,7 +1,5 @@
 """A plugin that chooses the camera of its pseudo views, as a third-party author would write it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

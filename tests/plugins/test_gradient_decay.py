@@ -1,8 +1,6 @@
 """The decay of opacities by their gradients, against numbers worked by hand and the trainer's own
 decay, and what it changes in a training."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Information gain and uncertainty: definitions, bounds and invariances."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The literature's capacities and second fields, against numbers worked by hand, or an
 independent few lines in float64."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

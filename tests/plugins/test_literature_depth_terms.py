@@ -1,8 +1,6 @@
 """The literature's terms of depth, patches and frequencies, and its warped photos, against numbers
 worked by hand, or an independent few lines in float64."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

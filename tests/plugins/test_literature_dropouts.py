@@ -1,8 +1,6 @@
 """The literature's dropout and noise, against numbers worked by hand, or an
 independent few lines in float64."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,8 +1,6 @@
 """The literature's terms on renders from elsewhere, against numbers worked by hand, or an
 independent few lines in float64."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,8 +1,6 @@
 """What several of the literature's plugins share, against numbers worked by hand, or an
 independent few lines in float64."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

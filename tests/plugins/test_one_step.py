@@ -5,8 +5,6 @@ only, and some methods begin with nothing. Photos weigh nothing beside a loss te
 moves is what the term pulls at.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """SAFI and the warping augmenter that it is built on."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

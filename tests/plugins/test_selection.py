@@ -1,7 +1,5 @@
 """How the warping methods choose their supports; all else is shared (see `test_safi.py`)."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """Dropout of SH bands, against numbers worked by hand and a mask within autograd's chain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

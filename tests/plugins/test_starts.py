@@ -1,7 +1,5 @@
 """The literature's first Gaussians, `init=patch_growth` and `init=epipolar`, by hand on a wall."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache

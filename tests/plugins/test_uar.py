@@ -1,7 +1,5 @@
 """UAR: who is a candidate, how many are dropped, what the others get."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

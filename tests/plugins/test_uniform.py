@@ -1,7 +1,5 @@
 """Uniform dropout: how many, who, and what the others get."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

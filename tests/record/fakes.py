@@ -1,7 +1,5 @@
 """Small made-up runs, written by the product's own writer, for tests of records and reports."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`cameras.json` and `transforms.json`: read back, they are the run's cameras."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

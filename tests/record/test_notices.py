@@ -1,7 +1,5 @@
 """What the framework logs during a run reaches the screen, once, and nothing is left behind."""
 
-from __future__ import annotations
-
 import logging
 
 from framework.records.notices import noted

@@ -1,7 +1,5 @@
 """The training photos that a run keeps for whoever looks at it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A run's identity covers the plugin files that it uses, and no others."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

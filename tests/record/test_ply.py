@@ -1,7 +1,5 @@
 """The PLY layout: exact round trips, readable elsewhere, channel-major f_rest, damaged files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Vertices of PLY files: text and binary of both orders, other elements, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

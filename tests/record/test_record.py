@@ -1,7 +1,5 @@
 """Records: whole or not at all, strict JSON, exact tables, identity."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A complete run is reused only while every file it read is what it was."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict

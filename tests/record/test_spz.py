@@ -1,7 +1,5 @@
 """The reader of SPZ files: the written values, in our axes, and one line for a damaged file."""
 
-from __future__ import annotations
-
 import gzip
 import struct
 from pathlib import Path

@@ -1,8 +1,6 @@
 """A finished run goes to a tracker, once, and no tracker harms it. MLflow, Weights & Biases and
 trackio are stand-in modules here, which record the calls; TensorBoard is the real one."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

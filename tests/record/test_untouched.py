@@ -1,7 +1,5 @@
 """A plugin from outside that writes into what it is given spoils its own run, and no other."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

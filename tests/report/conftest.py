@@ -1,7 +1,5 @@
 """Most tests of reports read the text alone, and drawing the charts is most of a report's time."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

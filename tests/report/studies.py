@@ -1,7 +1,5 @@
 """Made-up studies: archives whose runs have given numbers."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A study's runs.jsonl rebuilds its report when the runs' folders are gone."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,8 +1,6 @@
 """The page in a real headless browser. It needs node, a Chromium and puppeteer-core (npm), given by
 `FISHERSPLAT_BROWSER` (the executable) and `FISHERSPLAT_PUPPETEER` (the package's main module)."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

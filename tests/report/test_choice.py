@@ -1,7 +1,5 @@
 """What a report advises where runs differ in more than the method, and where pairs are missing."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Reading the runs of a study: failed, missing, repeated and odd ones, and what is noted."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

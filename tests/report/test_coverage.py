@@ -1,8 +1,6 @@
 """Every interval of a report covers the truth about as often as it says: simulated, within two
 points of 95 %. Seeds are fixed, so the shares are the same on every machine."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Forest plot, axes, close-ups, and the same figures as numbers and as LaTeX."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """`fishersplat leaderboard`: methods over all studies of a folder."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

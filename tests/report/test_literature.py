@@ -1,7 +1,5 @@
 """Recipes stand next to what was published about them, by the word `method=` of their run."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

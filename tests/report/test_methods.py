@@ -1,7 +1,5 @@
 """Methods and scenes as values: what differs is named, what cannot matter is not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The page stands alone, and nothing from outside becomes markup in it or in the Markdown."""
 
-from __future__ import annotations
-
 import json
 import re
 from html.parser import HTMLParser

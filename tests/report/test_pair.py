@@ -1,7 +1,5 @@
 """`fishersplat compare`: two runs beside each other, and what is no pair of runs."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

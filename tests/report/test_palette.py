@@ -1,7 +1,5 @@
 """Colours stay apart in greyscale and for the colour-blind."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

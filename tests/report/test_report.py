@@ -1,7 +1,5 @@
 """The report of made-up studies: first screen, findings, figures, and the same bytes twice."""
 
-from __future__ import annotations
-
 import csv
 import re
 import shutil

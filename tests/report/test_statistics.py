@@ -1,7 +1,5 @@
 """The statistics against scipy, textbook values and simulation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """What a report says about a method along a stress."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast

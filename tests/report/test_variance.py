@@ -1,7 +1,5 @@
 """Deviations compared, break-down points, failure rates: known inputs, known answers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from types import SimpleNamespace

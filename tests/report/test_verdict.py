@@ -1,7 +1,5 @@
 """The verdict: what it claims, what it does not, and what it says about the study's power."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Checkpoint files: two are kept, damage is noticed, the one before is used, others' are not."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 from pathlib import Path

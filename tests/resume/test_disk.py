@@ -1,8 +1,6 @@
 """A full or read-only disk and vanished input: one line, nothing half-written, and the run can be
 done when there is room again."""
 
-from __future__ import annotations
-
 import resource
 import signal
 from collections.abc import Iterator

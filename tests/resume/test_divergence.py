@@ -1,7 +1,5 @@
 """A training that cannot go on ends at that step and says why; odd input trains or is refused."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

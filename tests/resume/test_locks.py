@@ -1,7 +1,5 @@
 """One process at a time at a run; the lock of a dead one is no lock."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

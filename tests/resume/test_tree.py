@@ -1,7 +1,5 @@
 """Values go through JSON and tensors unchanged, and nothing unknown is made of a file."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

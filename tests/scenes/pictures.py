@@ -1,7 +1,5 @@
 """Photos of a small textured room, as cameras with known poses would take them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

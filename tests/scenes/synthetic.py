@@ -1,7 +1,5 @@
 """Small COLMAP and LLFF folders on disk, made for one test."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

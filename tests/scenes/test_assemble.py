@@ -1,7 +1,5 @@
 """What a loader hands over is checked where its view can be named."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

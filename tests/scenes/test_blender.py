@@ -1,7 +1,5 @@
 """NeRF's layout of rendered objects: the literature's views, the paper behind them, every error."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math
@@ -14,7 +12,7 @@ from PIL import Image
 
 from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.initialize import background_color
+from framework.initialize.background import background_color
 from framework.types import Scene
 from tests.built import load_scene
 

@@ -1,8 +1,6 @@
 """Cameras that no scene can have end in one line, whichever loader reads them; and small deviations
 are none."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The COLMAP loader: bin and txt, camera models, rescaled photos, tracks, and damaged files."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

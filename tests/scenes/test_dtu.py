@@ -1,7 +1,5 @@
 """The DTU loader: calibration, masks of tests and training, and every error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,8 +10,8 @@ from PIL import Image
 
 from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.scenes.dtu import DARK_RUN, background
 from framework.scenes.dtu_cameras import decompose
+from framework.scenes.photo import DARK_RUN, background
 from framework.types import Scene
 from tests.built import load_scene
 from tests.data import open_scene

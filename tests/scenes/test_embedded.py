@@ -1,7 +1,5 @@
 """The embedded scene: pinned bits, exact geometry, the cache, the options."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Photos of every format, size and EXIF orientation, and their names, in every layout."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Removing lens distortion and shrinking photos, against OpenCV and by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The LLFF loader: conventions by hand, agreement with COLMAP, and every error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The Mip-NeRF 360 loader: its photos, its protocol, and that it else is the COLMAP loader."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from framework.types import Scene

@@ -1,7 +1,5 @@
 """Several models, masks, missing photos, and poses without points: what every loader does."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Photos without poses: the search, and what is kept of it."""
 
-from __future__ import annotations
-
 import errno
 import json
 import logging
@@ -125,7 +123,8 @@ def test_nothing_is_written_beside_the_photos(
 )
 def test_kept_poses_of_other_types_are_refused(tmp_path: Path, change: dict[str, object]) -> None:
     names = ["a.jpg", "b.jpg", "c.jpg"]
-    actual = Result(names, dict.fromkeys(names, 9), [], dict.fromkeys(names, 99), [], [], 1.0)
+    poses = dict.fromkeys(names, 9), [], dict.fromkeys(names, 99), []
+    actual = Result(*poses, photos=names, tries=[], seconds=1.0)
     write_result(tmp_path, actual)
     assert read_result(tmp_path) == actual
     message = json.loads((tmp_path / "poses.json").read_text()) | change

@@ -1,7 +1,5 @@
 """The report on a search for poses, and the parts of the search."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

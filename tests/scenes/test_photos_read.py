@@ -1,7 +1,5 @@
 """Photos without poses: which are read, how, and what is refused."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any
@@ -95,7 +93,7 @@ def test_photos_called_as_the_prepared_ones_keep_their_pixels(tmp_path: Path) ->
     placed = [photo.name for photo in photos if photo.name != "000003.png"]
     reference = dict.fromkeys(placed, 100)
     model = found_model([photo.stored for photo in photos if photo.name in placed])
-    store(Attempt(model, placed=reference), photos, tmp_path)
+    store(Attempt(placed=reference, model=model), photos, tmp_path)
     assert sorted(file.name for file in images.iterdir()) == placed
     assert [int(read_image(images / name)[0, 0, 0]) for name in placed] == [0, 60, 180]
     assert not (tmp_path / "prepared").exists()

@@ -1,7 +1,5 @@
 """Which test cameras stand between the training cameras, by hand and by another algorithm."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import nnls

@@ -1,7 +1,5 @@
 """Whose focal length the search for poses takes, and when it stops early."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Split protocols against their definition, and the shared option checks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

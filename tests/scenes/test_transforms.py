@@ -1,7 +1,5 @@
 """The transforms.json loader: conventions by hand, agreement with COLMAP, and every error."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A video in place of photos: its sharpest frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Photos without poses, and a result of the search that was made by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Real checkpoints and what a forger makes of them."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """A forged checkpoint: whatever it contains, the training continues or ignores the file."""
 
-from __future__ import annotations
-
 import copy
 import io
 import json

@@ -1,7 +1,5 @@
 """Files from elsewhere: no code, no path out of their folder, no memory beyond the limits."""
 
-from __future__ import annotations
-
 import ast
 import io
 import json

@@ -1,7 +1,5 @@
 """A study with a forged or broken run: its report lists that run in a line and all the others."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

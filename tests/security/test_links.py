@@ -1,7 +1,5 @@
 """Links and pipes where the program writes: nothing elsewhere is overwritten, nothing blocks."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

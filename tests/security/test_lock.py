@@ -1,7 +1,5 @@
 """The lock file fits pyproject.toml, and nothing has a flaw that is known and matters here."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Plugins come from the plugins folder and from installed entry points, from nowhere else."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

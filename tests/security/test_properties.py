@@ -1,7 +1,5 @@
 """Properties of names, messages and arrays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

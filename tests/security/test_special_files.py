@@ -1,7 +1,5 @@
 """Special files in place of a file: nothing blocks, and one line reports them."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The undisturbed study that every disturbed one must equal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A small study of two runs, in processes forked from one that has compiled the kernels."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """The same seed gives the same bits with any number of threads, launcher and processor."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Two hundred mutated files for every reader."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

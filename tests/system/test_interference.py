@@ -2,8 +2,6 @@
 the study equals the undisturbed one, and no result is gone or was written twice.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

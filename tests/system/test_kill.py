@@ -1,7 +1,5 @@
 """Nothing is lost, changed or done twice when a study is killed by SIGKILL and begun again."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

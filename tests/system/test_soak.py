@@ -1,7 +1,5 @@
 """A process that does run after run does not grow: its memory, open files and threads."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess

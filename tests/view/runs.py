@@ -1,7 +1,5 @@
 """Small made-up runs with cameras and photos, for tests of the page."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -2,8 +2,6 @@
 Chromium and puppeteer-core (npm), given by `FISHERSPLAT_BROWSER` (the executable) and
 `FISHERSPLAT_PUPPETEER` (the package's main module)."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

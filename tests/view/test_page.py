@@ -1,7 +1,5 @@
 """The page of a run: what is in it and what is not, and what is said against unsound runs."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib
@@ -134,14 +132,14 @@ FORGED: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "PLY outside": (lambda run: _elsewhere(run / "point_cloud.ply"), "leads out of it"),
     "photo outside": (lambda run: _elsewhere(run / "renders/test_00_truth.png"), "leads out of it"),
-    "list": (lambda run: (run / "transforms.json").write_text("[]"), "expected a list 'frames'"),
+    "list": (lambda run: (run / "transforms.json").write_text("[]"), "expected a JSON object"),
     "matrix": (_transforms(lambda t: t["frames"][0].update(transform_matrix=[[1]])), "4x4 numbers"),
     "size": (_transforms(lambda t: t["frames"][0].update(w=1e9)), "expected sides of"),
     "dark": (
         _transforms(lambda t: t["frames"][0].update(exposure=[1, 0, 1])),
         "3 positive numbers as exposure",
     ),
-    "twice": (_transforms(lambda t: t["frames"].append(t["frames"][0])), "each camera once"),
+    "twice": (_transforms(lambda t: t["frames"].append(t["frames"][0])), "each photo once"),
     "near": (_transforms(lambda t: t.update(near_plane=-1)), "a positive near_plane"),
 }
 

@@ -1,7 +1,5 @@
 """The local page is served to this machine alone, and nothing else is."""
 
-from __future__ import annotations
-
 import http.client
 import os
 import re

@@ -4,8 +4,6 @@ World axes as a camera's (x right, y down, z forward). The wall is z = 6 + 0.3 x
 |x|, |y| <= 0.8 at z = 3. `unit` multiplies every length; the images do not depend on it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

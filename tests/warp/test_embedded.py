@@ -1,7 +1,5 @@
 """Warping on the embedded scene: exact depth must reproduce what ray tracing shows."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

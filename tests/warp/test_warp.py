@@ -1,7 +1,5 @@
 """Warping: proofs on the ray-traced stage with exact depth (see `stage.py`)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """IterMVS on all views of a training set."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from functools import lru_cache, partial
@@ -12,11 +10,10 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 
 from framework.compute.parallel import run_tasks
-from framework.depth.consistency import agreeing_views
+from framework.depth.consistency import confirmed, depth_map
 from framework.depth.itermvs.network import MULTIPLE, IterMvs, Posed
 from framework.depth.itermvs.weights import load
-from framework.depth.matching.bounds import depth_bounds
-from framework.depth.matching.neighbours import choose_neighbours
+from framework.depth.matching.neighbours import choose_neighbours, depth_bounds
 from framework.depth.matching.sweep import sweep_views
 from framework.depth.options import IterMvsOptions, PlaneSweepOptions
 from framework.depth.read import resample
@@ -65,19 +62,11 @@ def _checked(
 ) -> tuple[DepthMap, ...]:
     """Keep the confidence of depth that is at least that confident and that another view confirms,
     to the relative `tolerance`; 0 elsewhere."""
-    depths = [depth for depth, _ in estimates]
-    cameras = [view.camera for view in training.views]
-    maps = []
-    for i, (depth, confidence) in enumerate(estimates):
-        others = [j for j in range(len(depths)) if j != i]
-        agreeing = agreeing_views(depths, cameras, i, others, tolerance)
-        valid = (confidence >= least) & (agreeing > 0)
-        score = torch.from_numpy(np.where(valid, confidence, 0).astype(np.float32))
-        mask = training.views[i].mask
-        maps.append(
-            DepthMap(torch.from_numpy(depth), score if mask is None else score * (mask > 0))
-        )
-    return tuple(maps)
+    agreed = confirmed(training, [depth for depth, _ in estimates], tolerance)
+    return tuple(
+        depth_map(view, depth, np.where((confidence >= least) & agrees, confidence, 0))
+        for view, (depth, confidence), agrees in zip(training.views, estimates, agreed, strict=True)
+    )
 
 
 def estimate_views(training: TrainingSet, options: IterMvsOptions) -> list[Estimate]:

@@ -7,8 +7,6 @@ and down (Hirschmueller, TPAMI 2008, eq. 13-14). P2 is lower at image edges betw
 `L` are padded on both ends of d by a value above any cost, which avoids branches.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import kernel
@@ -18,7 +16,7 @@ _BEYOND = np.int16(16000)
 
 
 @kernel
-def _path_step(cost, before, low, small, jump, after):  # type: ignore[no-untyped-def]
+def _path_step(cost, before, low, small, jump, after):
     """One pixel of a horizontal path: all d. Returns the new minimum; `before` is padded."""
     n = cost.shape[0]
     left, middle, right = before[:n], before[1 : n + 1], before[2 : n + 2]
@@ -38,7 +36,7 @@ def _path_step(cost, before, low, small, jump, after):  # type: ignore[no-untype
 
 
 @kernel
-def _sweep_row(cost, total, penalty, small, backward, before, after):  # type: ignore[no-untyped-def]
+def _sweep_row(cost, total, penalty, small, backward, before, after):
     """Add the left-to-right (or right-to-left) path of one row; cost, total [W, D]."""
     width, planes = cost.shape
     before[:] = _BEYOND
@@ -57,7 +55,7 @@ def _sweep_row(cost, total, penalty, small, backward, before, after):  # type: i
 
 
 @kernel
-def aggregate_rows(block, n_blocks, cost, penalty, small, total):  # type: ignore[no-untyped-def]
+def aggregate_rows(block, n_blocks, cost, penalty, small, total):
     """Kernel over rows: total[y] = sum of both horizontal paths. penalty [H, W] int16: P2 between a
     pixel and its left neighbour."""
     height, planes, width = cost.shape
@@ -78,7 +76,7 @@ def aggregate_rows(block, n_blocks, cost, penalty, small, total):  # type: ignor
 
 
 @kernel
-def _column_step(cost, start, before, low, jump, small, after, total):  # type: ignore[no-untyped-def]
+def _column_step(cost, start, before, low, jump, small, after, total):
     """One row of a vertical path over the columns from `start`: cost, total [D, W]; low, jump [n].
     Slices are taken row by row here: numba must see that they are contiguous to vectorise."""
     planes, n = cost.shape[0], low.shape[0]
@@ -102,7 +100,7 @@ def _column_step(cost, start, before, low, jump, small, after, total):  # type: 
 
 
 @kernel
-def aggregate_columns(block, n_blocks, cost, penalty, small, total):  # type: ignore[no-untyped-def]
+def aggregate_columns(block, n_blocks, cost, penalty, small, total):
     """Kernel over columns: total += both vertical paths. penalty [H, W] int16: P2 between a pixel
     and the one above. Blocks start at multiples of 16 columns, for whole vectors."""
     height, planes, width = cost.shape

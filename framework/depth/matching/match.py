@@ -10,8 +10,6 @@ and the reference; windows that leave the image repeat its border. `VARIANCE_FLO
 without texture (a deviation of about one grey level of 255) from matching their noise.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -29,7 +27,7 @@ _FLOOR = np.float32(VARIANCE_FLOOR)
 
 
 @kernel
-def _locate_row(shape, A, t, q, y, index, du, dv, valid):  # type: ignore[no-untyped-def]
+def _locate_row(shape, A, t, q, y, index, du, dv, valid):
     """Locate row y of the reference in one source.
 
     index: flat index of the upper left of four pixels; du, dv: position between them, clamped to
@@ -64,7 +62,7 @@ def _locate_row(shape, A, t, q, y, index, du, dv, valid):  # type: ignore[no-unt
 
 
 @kernel
-def _sample_row(pixels, width, index, du, dv, warped, radius):  # type: ignore[no-untyped-def]
+def _sample_row(pixels, width, index, du, dv, warped, radius):
     """Bilinear samples at those places; `warped` repeats its ends `radius` times on both sides."""
     n = index.shape[0]
     out = warped[radius : radius + n]
@@ -81,20 +79,20 @@ def _sample_row(pixels, width, index, du, dv, warped, radius):  # type: ignore[n
 
 
 @kernel
-def _multiply_rows(warped, reference, squares, products):  # type: ignore[no-untyped-def]
+def _multiply_rows(warped, reference, squares, products):
     for x in range(warped.shape[0]):
         squares[x] = warped[x] * warped[x]
         products[x] = warped[x] * reference[x]
 
 
 @kernel
-def _copy_row(source, target):  # type: ignore[no-untyped-def]
+def _copy_row(source, target):
     for x in range(target.shape[0]):
         target[x] = source[x]
 
 
 @kernel
-def _window_sum(values, out, taps):  # type: ignore[no-untyped-def]
+def _window_sum(values, out, taps):
     """out[x] = sum of the odd number `taps` >= 3 of values from x on; pairs of taps per pass."""
     n = out.shape[0]
     a, b, c = values[:n], values[1 : n + 1], values[2 : n + 2]
@@ -107,7 +105,7 @@ def _window_sum(values, out, taps):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _ring_sum(ring, out):  # type: ignore[no-untyped-def]
+def _ring_sum(ring, out):
     """out [N] = sum over the odd number >= 3 of rows of ring [taps, N]."""
     a, b, c = ring[0], ring[1], ring[2]
     for x in range(out.shape[0]):
@@ -119,7 +117,7 @@ def _ring_sum(ring, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _score_row(sums, valid, mean, inverse_deviation, scale, out):  # type: ignore[no-untyped-def]
+def _score_row(sums, valid, mean, inverse_deviation, scale, out):
     """Costs of one row from its full window sums [3 W]; `scale` = 1 / window size."""
     n = out.shape[0]
     first, second, cross = sums[:n], sums[n : 2 * n], sums[2 * n :]
@@ -136,7 +134,7 @@ def _score_row(sums, valid, mean, inverse_deviation, scale, out):  # type: ignor
 
 
 @kernel
-def _keep_best(row, best, y):  # type: ignore[no-untyped-def]
+def _keep_best(row, best, y):
     """Insert a row of costs into the ascending layers best[:, y]; `row` is used up."""
     for layer in range(best.shape[0]):
         kept = best[layer, y]
@@ -148,9 +146,7 @@ def _keep_best(row, best, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _match_plane(  # type: ignore[no-untyped-def]
-    padded, mean, inverse_deviation, pixels, shape, A, t, q, radius, best
-):
+def _match_plane(padded, mean, inverse_deviation, pixels, shape, A, t, q, radius, best):
     """One source at one plane: warp, window sums over a ring of rows, score, keep the best."""
     height, width = mean.shape
     taps = 2 * radius + 1
@@ -184,10 +180,21 @@ def _match_plane(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def match_costs(  # type: ignore[no-untyped-def]
-    block, n_blocks, padded, mean, inverse_deviation, pixels, shapes, A, t, inverse_depths,
-    radius, n_best, cost,
-):  # fmt: skip
+def match_costs(
+    block,
+    n_blocks,
+    padded,
+    mean,
+    inverse_deviation,
+    pixels,
+    shapes,
+    A,
+    t,
+    inverse_depths,
+    radius,
+    n_best,
+    cost,
+):
     """Kernel over planes: cost[y, d, x] = mean of the `n_best` lowest costs among the sources.
 
     Args:

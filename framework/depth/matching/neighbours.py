@@ -1,4 +1,4 @@
-"""Which training views to match a view with.
+"""Which training views to match a view with, and between which depths to look for the surface.
 
 A good partner sees the same surface under a triangulation angle that is wide enough to measure and
 narrow enough to look alike. The score of a pair is a sum over common points:
@@ -13,19 +13,35 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from framework.compute import portable
 from framework.depth.transfer import inside, project
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from framework.types import Camera, TrainingSet
 
+MIN_POINTS = 50  # fewer say little about the ends of the range
+NEARER, FARTHER = 0.85, 1.3  # how far surfaces may lie beyond the triangulated points
 MIN_SHARED = 10  # sparse points a view must share with some other for them to decide
 RELATIVE_FLOOR = 0.1  # a partner scores at least this share of the best partner's score
 WEAK_FLOOR = 0.02  # that share for the second partner
 GRID, LEVELS = 16, 3  # pixels per side and inverse depths of the grid used without sparse points
+
+
+def depth_bounds(training: TrainingSet, index: int) -> tuple[float, float]:
+    """(nearest, farthest) depth to search in view `index`, in scene units.
+
+    The bounds are the 0.5 % and 99.5 % quantiles of the sparse points inside the view's frustum.
+    With fewer than `MIN_POINTS` points they are the scene's bounds. Both are widened.
+    """
+    camera = training.views[index].camera
+    uvz = project(camera, training.points.xyz.numpy())
+    depths = uvz[inside(camera, uvz), 2]
+    if len(depths) < MIN_POINTS:
+        return NEARER * training.near, FARTHER * training.far
+    low, high = np.percentile(depths, [0.5, 99.5])
+    return NEARER * float(low), FARTHER * float(high)
 
 
 def angle_weight(xyz: NDArray[np.float64], a: Camera, b: Camera) -> NDArray[np.float64]:

@@ -4,20 +4,15 @@
 Same layouts and units as `match`, `aggregate` and `select`; float64, whole volumes at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, uniform_filter
 
 from framework.depth.matching.match import COST_ONE, VARIANCE_FLOOR
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 def zncc(a: Array, b: Array, radius: int) -> Array:

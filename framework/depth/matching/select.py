@@ -1,7 +1,5 @@
 """Winner-take-all over an aggregated cost volume, with sub-plane refinement, kernel."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from framework.compute.jit import kernel
@@ -12,7 +10,7 @@ _ONE = np.float32(COST_ONE)
 
 
 @kernel
-def select_planes(block, n_blocks, total, cost, position, zncc):  # type: ignore[no-untyped-def]
+def select_planes(block, n_blocks, total, cost, position, zncc):
     """Kernel over rows.
 
     position [H, W] float32: plane index of the lowest total, refined by the parabola through it and

@@ -5,30 +5,23 @@ depth bounds (Collins, CVPR 1996; Gallup et al., CVPR 2007). Matching works with
 depth, so that its numbers do not depend on the unit of length.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from framework.compute.parallel import run_blocks
-from framework.depth.consistency import agreeing_views
+from framework.depth.consistency import agreeing_views, depth_map
 from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows
-from framework.depth.matching.bounds import depth_bounds
 from framework.depth.matching.match import COST_ONE, VARIANCE_FLOOR, match_costs
-from framework.depth.matching.neighbours import choose_neighbours, grid_points
+from framework.depth.matching.neighbours import choose_neighbours, depth_bounds, grid_points
 from framework.depth.matching.select import select_planes
+from framework.depth.options import PlaneSweepOptions
 from framework.depth.transfer import inside, pixel_transfer, project
 from framework.errors import UserError, require
 from framework.types import DepthMap, TrainingSet, View
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from framework.depth.options import PlaneSweepOptions
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 ONE_PLACE = 0.01  # of the near bound; closer cameras see no parallax
@@ -225,9 +218,6 @@ def sweep_views(training: TrainingSet, options: PlaneSweepOptions) -> tuple[Dept
     maps = []
     for i, (depth, zncc) in enumerate(swept):
         agreeing = agreeing_views(depths, cameras, i, sources[i], options.tolerance)
-        score = torch.from_numpy(confidence(zncc, agreeing, len(sources[i])))
-        mask = training.views[i].mask
-        maps.append(
-            DepthMap(torch.from_numpy(depth), score if mask is None else score * (mask > 0))
-        )
+        score = confidence(zncc, agreeing, len(sources[i]))
+        maps.append(depth_map(training.views[i], depth, score))
     return tuple(maps)

@@ -1,12 +1,8 @@
 """The gradient of what `projection` does: from sums over pixels back to the parameters."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
-from framework.compute.chunks import put1, put2, put3, put4, span, take1, take3, take4
+from framework.compute.chunks import put1, put2, put3, put4, span, take1, take3, take4, take_row
 from framework.compute.jit import inlined, kernel
 from framework.compute.simd import (
     LANES,
@@ -30,14 +26,13 @@ from framework.kernels.project.ewa import (
     unit_quat,
 )
 from framework.kernels.project.harmonics import Y0, direction, sh_backward
-from framework.kernels.project.rows import take_row
 
 f4 = np.float32
 ZERO, HALF, ONE = f4(0), f4(0.5), f4(1)
 
 
 @inlined
-def _sum_parts(first: Any, sums: Any, base: int, count: int, total: Any) -> int:
+def _sum_parts(first, sums, base, count, total):
     """The sum of every Gaussian's parts, in their order, into total (flat [16 16]), row 15 of
     which counts them; returns the number of parts."""
     for lane in range(count):
@@ -51,14 +46,14 @@ def _sum_parts(first: Any, sums: Any, base: int, count: int, total: Any) -> int:
 
 
 @inlined
-def _only3(seen: Any, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
+def _only3(seen, x, y, z):
     """0 for the lanes that are not seen."""
     o = zeros()
     return select(seen, x, o), select(seen, y, o), select(seen, z, o)
 
 
 @inlined
-def _zero(gradients: Any, base: int, count: int) -> None:
+def _zero(gradients, base, count):
     """No gradient for Gaussians base ... base + count - 1."""
     g_means, g_quats, g_log_scales, g_logits, g_sh0, g_shN, g_factors, g_offset = gradients
     g_means[3 * base : 3 * (base + count)] = ZERO
@@ -72,9 +67,7 @@ def _zero(gradients: Any, base: int, count: int) -> None:
 
 
 @inlined
-def _unclamped(
-    seen: Any, clipped: Any, base: int, count: int, sums: Any, flags: Any
-) -> tuple[Any, Any, Any]:
+def _unclamped(seen, clipped, base, count, sums, flags):
     """The gradient of the three colours, 0 where they were clamped. flags: scratch [3, 16]."""
     for lane in range(count):
         for c in range(3):
@@ -86,7 +79,7 @@ def _unclamped(
 
 
 @inlined
-def _through_direction(vx: Any, vy: Any, vz: Any, way: Any) -> tuple[Any, Any, Any]:
+def _through_direction(vx, vy, vz, way):
     """d / d mean from d / d direction; way: the unit direction and 1 / distance."""
     radial = vx * way[0] + vy * way[1] + vz * way[2]
     return (
@@ -97,7 +90,7 @@ def _through_direction(vx: Any, vy: Any, vz: Any, way: Any) -> tuple[Any, Any, A
 
 
 @inlined
-def _to_ellipse(sums: Any, conic: Any, seen: Any) -> tuple[Any, ...]:
+def _to_ellipse(sums, conic, seen):
     """Compute gradients in u, v, A, B, C from the sums of a = (d loss / d alpha) alpha, see
     `project_backward`.
 
@@ -110,20 +103,14 @@ def _to_ellipse(sums: Any, conic: Any, seen: Any) -> tuple[Any, ...]:
 
 
 @inlined
-def _to_opacity(g_opacity: Any, logit: Any, factor: Any) -> tuple[Any, Any]:
+def _to_opacity(g_opacity, logit, factor):
     """Gradients in factor and logit of the opacity: factor x sigmoid(logit)."""
     opacity = ONE / (ONE + exp(-logit))
     return g_opacity * opacity, g_opacity * factor * opacity * (ONE - opacity)
 
 
 @kernel
-def project_backward(
-    block: int,
-    blocks: int,
-    gaussians: Any,
-    projected: Any,
-    gradients: Any,
-) -> None:
+def project_backward(block, blocks, gaussians, projected, gradients):
     """Sum every Gaussian's parts in their order, then pull the sums back to the parameters.
 
     The lanes of a part are sums over pixels. Lanes 0 to 5 are of a = (d loss / d alpha) alpha times

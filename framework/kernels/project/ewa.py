@@ -5,10 +5,7 @@ Helpers for float32 numbers and for vectors of them (`simd`) alike.
 Camera row (float32[20]): rotation (9), translation (3), centre (3), fx, fy, cx, cy, near.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +21,7 @@ _LARGEST = f4(126)
 
 
 @inlined
-def to_camera(camera: Any, mean: Any) -> tuple[Any, Any, Any]:
+def to_camera(camera, mean):
     x = camera[0] * mean[0] + camera[1] * mean[1] + camera[2] * mean[2] + camera[9]
     y = camera[3] * mean[0] + camera[4] * mean[1] + camera[5] * mean[2] + camera[10]
     z = camera[6] * mean[0] + camera[7] * mean[1] + camera[8] * mean[2] + camera[11]
@@ -32,7 +29,7 @@ def to_camera(camera: Any, mean: Any) -> tuple[Any, Any, Any]:
 
 
 @inlined
-def unit_quat(quat: Any) -> tuple[Any, Any, Any, Any, Any]:
+def unit_quat(quat):
     """(w, x, y, z) normalised, and 1 / norm."""
     w, x, y, z = quat[0], quat[1], quat[2], quat[3]
     inverse = ONE / math.sqrt(w * w + x * x + y * y + z * z)
@@ -40,7 +37,7 @@ def unit_quat(quat: Any) -> tuple[Any, Any, Any, Any, Any]:
 
 
 @inlined
-def rotation(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+def rotation(w, x, y, z):
     """Row-major rotation matrix of a unit quaternion."""
     return (
         ONE - TWO * (y * y + z * z),
@@ -56,7 +53,7 @@ def rotation(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
 
 
 @inlined
-def screen_axes(camera: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+def screen_axes(camera, x, y, z):
     """T = J W, 2x3 row-major: how the projected point moves with the world point."""
     inverse = ONE / z
     jx, jy = camera[15] * inverse, camera[16] * inverse
@@ -72,7 +69,7 @@ def screen_axes(camera: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
 
 
 @inlined
-def times_rotation(t: Any, r: Any) -> tuple[Any, ...]:
+def times_rotation(t, r):
     """U = T R, 2x3."""
     return (
         t[0] * r[0] + t[1] * r[3] + t[2] * r[6],
@@ -85,13 +82,13 @@ def times_rotation(t: Any, r: Any) -> tuple[Any, ...]:
 
 
 @inlined
-def exp(x: Any) -> Any:
+def exp(x):
     """exp(x) of a vector; 2^126 where the result would exceed it or x is not a number."""
     return exp2(minimum(x * LOG2E, splat(_LARGEST)))
 
 
 @inlined
-def covariance(m: Any, s0: Any, s1: Any, s2: Any) -> tuple[Any, Any, Any, Any]:
+def covariance(m, s0, s1, s2):
     """xx, xy, yy of U S S^T U^T + dilation for U = `m` [2x3], and their determinant."""
     a0, a1, a2 = m[0] * s0, m[1] * s1, m[2] * s2
     b0, b1, b2 = m[3] * s0, m[4] * s1, m[5] * s2
@@ -105,15 +102,13 @@ def covariance(m: Any, s0: Any, s1: Any, s2: Any) -> tuple[Any, Any, Any, Any]:
 
 
 @inlined
-def conic_of(row: Any) -> tuple[Any, Any, Any]:
+def conic_of(row):
     """A, B, C, the inverse of the 2D covariance, from a projected Gaussian; see `projection`."""
     return -TWO * LN2 * row[2], -LN2 * row[3], -TWO * LN2 * row[4]
 
 
 @inlined
-def _from_conic(
-    conic: Any, ga: Any, gb: Any, gc: Any, m: Any, scales: Any
-) -> tuple[tuple[Any, ...], tuple[Any, Any, Any]]:
+def _from_conic(conic, ga, gb, gc, m, scales):
     """Compute d loss / d U [2x3] and the gradient in the log-scales from that in A, B, C.
 
     The chain is conic -> covariance (dS = -C G C) -> A = U S.
@@ -135,7 +130,7 @@ def _from_conic(
 
 
 @inlined
-def _to_quat(t: Any, d: Any, quat: Any) -> tuple[Any, Any, Any, Any]:
+def _to_quat(t, d, quat):
     """Gradient in the stored quaternion from d = d loss / d U, U = T R, through its norm."""
     e0, e1, e2 = t[0] * d[0] + t[3] * d[3], t[0] * d[1] + t[3] * d[4], t[0] * d[2] + t[3] * d[5]
     e3, e4, e5 = t[1] * d[0] + t[4] * d[3], t[1] * d[1] + t[4] * d[4], t[1] * d[2] + t[4] * d[5]
@@ -155,9 +150,7 @@ def _to_quat(t: Any, d: Any, quat: Any) -> tuple[Any, Any, Any, Any]:
 
 
 @inlined
-def _to_mean(
-    camera: Any, x: Any, y: Any, z: Any, r: Any, d: Any, gu: Any, gv: Any, gz: Any
-) -> tuple[Any, Any, Any]:
+def _to_mean(camera, x, y, z, r, d, gu, gv, gz):
     """Gradient in the mean from those in (u, v, z) and d = d loss / d U, U = J W R."""
     t0 = d[0] * r[0] + d[1] * r[1] + d[2] * r[2]
     t1 = d[0] * r[3] + d[1] * r[4] + d[2] * r[5]
@@ -184,24 +177,7 @@ def _to_mean(
 
 
 @inlined
-def pull_back(
-    camera: Any,
-    x: Any,
-    y: Any,
-    z: Any,
-    t: Any,
-    r: Any,
-    m: Any,
-    scales: Any,
-    quat: Any,
-    conic: Any,
-    gu: Any,
-    gv: Any,
-    ga: Any,
-    gb: Any,
-    gc: Any,
-    gz: Any,
-) -> tuple[Any, ...]:
+def pull_back(camera, x, y, z, t, r, m, scales, quat, conic, gu, gv, ga, gb, gc, gz):
     """Gradients in (mean 3, log-scale 3, quat 4) from those in (u, v, A, B, C, z)."""
     d, g_scales = _from_conic(conic, ga, gb, gc, m, scales)
     g_mean = _to_mean(camera, x, y, z, r, d, gu, gv, gz)

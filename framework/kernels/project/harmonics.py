@@ -4,10 +4,7 @@ The helpers are for float32 numbers and for vectors of them (`simd`) alike; `sh_
 `sh_backward` are for a chunk of 16 Gaussians.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +24,7 @@ SIX, EIGHT = f4(6), f4(8)
 
 
 @inlined
-def basis(x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+def basis(x, y, z):
     """The 15 basis functions of the degrees 1 to 3 at a unit direction."""
     xx, yy, zz = x * x, y * y, z * z
     return (
@@ -50,7 +47,7 @@ def basis(x: Any, y: Any, z: Any) -> tuple[Any, ...]:
 
 
 @inlined
-def basis_gradient(degree: int, x: Any, y: Any, z: Any, d: Any) -> tuple[Any, Any, Any]:
+def basis_gradient(degree, x, y, z, d):
     """Sum over the basis functions of d[k] x their gradient in (x, y, z)."""
     gx, gy, gz = -_Y1 * d[2], -_Y1 * d[0], _Y1 * d[1]
     if degree > 1:
@@ -73,7 +70,7 @@ def basis_gradient(degree: int, x: Any, y: Any, z: Any, d: Any) -> tuple[Any, An
 
 
 @inlined
-def direction(camera: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
+def direction(camera, mean):
     """Unit direction camera -> mean, and 1 / distance."""
     x, y, z = mean[0] - camera[12], mean[1] - camera[13], mean[2] - camera[14]
     inverse = ONE / math.sqrt(x * x + y * y + z * z)
@@ -81,7 +78,7 @@ def direction(camera: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
 
 
 @inlined
-def sh_color(degree: int, way: Any, base: int, count: int, shN: Any, sh: Any) -> Any:
+def sh_color(degree, way, base, count, shN, sh):
     """What the bands above 0, of the Gaussians that have them, add to red, green, blue; sh [256] is
     scratch."""
     b = basis(way[0], way[1], way[2])
@@ -102,9 +99,7 @@ def sh_color(degree: int, way: Any, base: int, count: int, shN: Any, sh: Any) ->
 
 
 @inlined
-def sh_backward(
-    degree: int, base: int, count: int, color: Any, way: Any, shN: Any, g_shN: Any, sh: Any
-) -> Any:
+def sh_backward(degree, base, count, color, way, shN, g_shN, sh):
     """Fill g_shN; returns the gradient in the unit direction. sh [2, 256] is scratch."""
     terms = (degree + 1) * (degree + 1) - 1
     values, pulls = sh[0], sh[1]

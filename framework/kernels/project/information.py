@@ -17,13 +17,9 @@ s_ck e_k with two tangents e_k, and two sums over the channels, h_k = sum_c s_ck
 Clamped colours have s_ck = 0; at SH degree 0 only the first term is left.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
-from framework.compute.chunks import span, take1, take3, take4
+from framework.compute.chunks import put_row, span, take1, take3, take4, take_row
 from framework.compute.jit import inlined, kernel
 from framework.compute.simd import (
     LANES,
@@ -34,7 +30,6 @@ from framework.compute.simd import (
     select,
     splat,
     store,
-    store16,
     zeros,
 )
 from framework.kernels.project.ewa import conic_of, exp
@@ -57,7 +52,7 @@ _PLACE = np.array(
 
 
 @inlined
-def _tangents(x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+def _tangents(x, y, z):
     """Two unit vectors at right angles to the unit (x, y, z) and to each other, six numbers.
 
     Duff et al. 2017, "Building an orthonormal basis, revisited"."""
@@ -68,16 +63,7 @@ def _tangents(x: Any, y: Any, z: Any) -> tuple[Any, ...]:
 
 
 @kernel
-def colour_slopes(
-    block: int,
-    blocks: int,
-    means: Any,
-    shN: Any,
-    degree: int,
-    camera: Any,
-    clipped: Any,
-    slopes: Any,
-) -> None:
+def colour_slopes(block, blocks, means, shN, degree, camera, clipped, slopes):
     """Write into slopes (flat [N, 16]) how the colour changes when the Gaussian moves sideways.
 
     Entry 2 c + k is the derivative of colour c along tangent k per scene unit, 0 if the colour is
@@ -96,31 +82,11 @@ def colour_slopes(
         r = _along(degree, terms, 0, base, count, shN, clipped, x, y, z, inverse, e, sh, scratch)
         g = _along(degree, terms, 1, base, count, shN, clipped, x, y, z, inverse, e, sh, scratch)
         b = _along(degree, terms, 2, base, count, shN, clipped, x, y, z, inverse, e, sh, scratch)
-        if count == LANES:
-            store16(slopes, base * LANES, (*r, *g, *b, *tail))
-        else:
-            store16(sh, 0, (*r, *g, *b, *tail))
-            for i in range(count * LANES):
-                slopes[base * LANES + i] = sh[i]
+        put_row(slopes, base, count, sh, (*r, *g, *b, *tail))
 
 
 @inlined
-def _along(
-    degree: int,
-    terms: int,
-    channel: int,
-    base: int,
-    count: int,
-    shN: Any,
-    clipped: Any,
-    x: Any,
-    y: Any,
-    z: Any,
-    inverse: Any,
-    e: Any,
-    sh: Any,
-    scratch: Any,
-) -> tuple[Any, Any]:
+def _along(degree, terms, channel, base, count, shN, clipped, x, y, z, inverse, e, sh, scratch):
     """Derivatives of one channel's colour along the two tangents e."""
     for lane in range(count):
         for k in range(terms):
@@ -135,17 +101,7 @@ def _along(
 
 
 @inlined
-def _columns(flat: Any, base: int, count: int, scratch: Any) -> Any:
-    """The 16 numbers of every Gaussian as a tuple of vectors; scratch: flat [16, 16]."""
-    if count == LANES:
-        return load16(flat, base * LANES)
-    for i in range(count * LANES):
-        scratch[i] = flat[base * LANES + i]
-    return load16(scratch, 0)
-
-
-@inlined
-def _sums(first: Any, sums: Any, base: int, count: int, rows: Any, columns: Any) -> None:
+def _sums(first, sums, base, count, rows, columns):
     """columns (flat [16, 16]): the sum of every Gaussian's parts in their order, a lane each."""
     for lane in range(count):
         total = zeros()
@@ -158,7 +114,7 @@ def _sums(first: Any, sums: Any, base: int, count: int, rows: Any, columns: Any)
 
 
 @inlined
-def _through_alpha(moments: Any, jacobian: Any, image: Any, fisher: Any, turns: Any) -> None:
+def _through_alpha(moments, jacobian, image, fisher, turns):
     """K^T L Q L^T K: fisher (flat [6, 6, 16]) where p <= o; turns (flat [4, 16]): of the quat."""
     for o in range(PARAMETERS):
         for a in range(5):
@@ -179,9 +135,7 @@ def _through_alpha(moments: Any, jacobian: Any, image: Any, fisher: Any, turns: 
 
 
 @inlined
-def _through_direction(
-    moments: Any, slopes: Any, cross: Any, jacobian: Any, h: Any, fisher: Any
-) -> None:
+def _through_direction(moments, slopes, cross, jacobian, h, fisher):
     """Add sum_k e_k h_k^T + h_k e_k^T + W sum_kl (sum_c s_ck s_cl) e_k e_l^T where p <= o.
 
     moments, slopes, cross: flat [16, 16], a lane for every Gaussian; h: flat [2, 6, 16], scratch.
@@ -217,18 +171,7 @@ def _through_direction(
 
 
 @kernel
-def _write(
-    base: int,
-    count: int,
-    first: Any,
-    clipped: Any,
-    moments: Any,
-    values: Any,
-    turns: Any,
-    transparency: Any,
-    fisher: Any,
-    diagonal: Any,
-) -> None:
+def _write(base, count, first, clipped, moments, values, turns, transparency, fisher, diagonal):
     """The lanes to the Gaussians' places; zeros for those that are not seen."""
     for lane in range(count):
         i = base + lane
@@ -255,22 +198,22 @@ def _write(
 
 @kernel
 def pull_back_moments(
-    block: int,
-    blocks: int,
-    means: Any,
-    quats: Any,
-    log_scales: Any,
-    logits: Any,
-    camera: Any,
-    rows: Any,
-    clipped: Any,
-    first: Any,
-    sums: Any,
-    slopes: Any,
-    cross: Any,
-    fisher: Any,
-    diagonal: Any,
-) -> None:
+    block,
+    blocks,
+    means,
+    quats,
+    log_scales,
+    logits,
+    camera,
+    rows,
+    clipped,
+    first,
+    sums,
+    slopes,
+    cross,
+    fisher,
+    diagonal,
+):
     """Fisher block [N, 6, 6] in (mean, log-scale); diagonal [N, 14] in (mean 3, log-scale 3,
     quat 4, opacity logit, sh0 3). Zeros where the camera sees nothing of the Gaussian.
 
@@ -293,7 +236,7 @@ def pull_back_moments(
             diagonal[base : base + count] = ZERO
             continue
         _sums(first, sums, base, count, square, moments)
-        row = _columns(rows, base, count, square)
+        row = take_row(rows, base, count, square)
         screen_jacobian(
             camera,
             take3(means, base, count, scratch),
@@ -305,7 +248,7 @@ def pull_back_moments(
         _through_alpha(moments, jacobian, image, values, turns)
         if len(cross) > 0:
             _sums(first, cross, base, count, square, mixed)
-            columns = _columns(slopes, base, count, square)
+            columns = take_row(slopes, base, count, square)
             for k in range(LANES):
                 store(slope, k * LANES, columns[k])
             _through_direction(moments, slope, mixed, jacobian, h, values)

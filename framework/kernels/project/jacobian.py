@@ -14,10 +14,6 @@ dy, the sums of a long thin Gaussian would cancel. The monomials are m = (dx, e,
 Lanes are Gaussians.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
 from framework.compute.jit import inlined
@@ -31,7 +27,7 @@ _ROW = PARAMETERS * LANES
 
 
 @inlined
-def _put(jacobian: Any, at: int, a: Any, b: Any) -> None:
+def _put(jacobian, at, a, b):
     """The coefficients of dx^2, dx e, e^2 in (a . (dx, e)) (b . (dx, e)), at rows 2 to 4."""
     store(jacobian, 2 * _ROW + at * LANES, a[0] * b[0])
     store(jacobian, 3 * _ROW + at * LANES, a[0] * b[1] + a[1] * b[0])
@@ -39,7 +35,7 @@ def _put(jacobian: Any, at: int, a: Any, b: Any) -> None:
 
 
 @inlined
-def _put_turned(jacobian: Any, row: int, camera: Any, x: Any, y: Any, z: Any) -> None:
+def _put_turned(jacobian, row, camera, x, y, z):
     """Coefficients by the camera-space mean -> by the mean."""
     at = row * _ROW
     store(jacobian, at, camera[0] * x + camera[3] * y + camera[6] * z)
@@ -48,7 +44,7 @@ def _put_turned(jacobian: Any, row: int, camera: Any, x: Any, y: Any, z: Any) ->
 
 
 @inlined
-def _axis(camera: Any, x: Any, y: Any, z: Any, j: Any) -> tuple[Any, ...]:
+def _axis(camera, x, y, z, j):
     """For one axis r of the Gaussian: the two numbers of m = J W r, then the three of W r."""
     px = camera[0] * x + camera[1] * y + camera[2] * z
     py = camera[3] * x + camera[4] * y + camera[5] * z
@@ -57,24 +53,24 @@ def _axis(camera: Any, x: Any, y: Any, z: Any, j: Any) -> tuple[Any, ...]:
 
 
 @inlined
-def _form(m: Any, spread: Any, cb: Any, cc: Any) -> tuple[Any, Any]:
+def _form(m, spread, cb, cc):
     """y . m in dx and e; spread: 1 / S'_xx."""
     return spread * m[0], cb * m[0] + cc * m[1]
 
 
 @inlined
-def _scaled(s: Any, n: Any) -> tuple[Any, Any]:
+def _scaled(s, n):
     return s * n[0], s * n[1]
 
 
 @inlined
-def _combined(a: Any, b: Any, c: Any, k0: Any, k1: Any, k2: Any) -> tuple[Any, Any]:
+def _combined(a, b, c, k0, k1, k2):
     """a k0 + b k1 + c k2, 2-vectors."""
     return a * k0[0] + b * k1[0] + c * k2[0], a * k0[1] + b * k1[1] + c * k2[1]
 
 
 @inlined
-def _put_turns(jacobian: Any, quat: Any, n: Any, s: Any) -> None:
+def _put_turns(jacobian, quat, n, s):
     """Write the coefficients of the quaternion.
 
     A turn w about the Gaussian's axis 0 mixes axes 1 and 2 by (s_1^2 - s_2^2) (y.m_1) (y.m_2), and
@@ -102,9 +98,7 @@ def _put_turns(jacobian: Any, quat: Any, n: Any, s: Any) -> None:
 
 
 @inlined
-def screen_jacobian(
-    camera: Any, mean: Any, quaternion: Any, log_scale: Any, conic: Any, jacobian: Any
-) -> None:
+def screen_jacobian(camera, mean, quaternion, log_scale, conic, jacobian):
     """Fill jacobian (flat [5, 10, 16]): coefficients of m by mean 3, log-scale 3, quat 4 of sixteen
     Gaussians. Rows 0 and 1 are 0 from parameter 3 on and not written there."""
     x, y, z = to_camera(camera, mean)

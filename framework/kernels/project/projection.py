@@ -18,14 +18,11 @@ the 2D covariance.
 The blending kernels compute alpha = 2^(row[5] + row[2] dx^2 + row[3] dx dy + row[4] dy^2).
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
-from framework.compute.chunks import put1, span, take1, take2, take3, take4
+from framework.compute.chunks import put1, put_row, span, take1, take2, take3, take4
 from framework.compute.jit import inlined, kernel
 from framework.compute.simd import (
     LANES,
@@ -57,7 +54,6 @@ from framework.kernels.project.ewa import (
     unit_quat,
 )
 from framework.kernels.project.harmonics import Y0, direction, sh_color
-from framework.kernels.project.rows import put_row
 from framework.kernels.tile.tiles import longest_run
 
 f4 = np.float32
@@ -70,7 +66,7 @@ _TILE = f4(1 / 16)
 
 
 @inlined
-def _covered(u: Any, v: Any, rx: Any, ry: Any, w: Any, h: Any) -> tuple[Any, Any]:
+def _covered(u, v, rx, ry, w, h):
     """Whether the box u +- rx, v +- ry holds a pixel centre of the image, and how many tiles it
     covers."""
     left = maximum(ceil(u - rx - HALF), zeros())
@@ -83,17 +79,7 @@ def _covered(u: Any, v: Any, rx: Any, ry: Any, w: Any, h: Any) -> tuple[Any, Any
 
 
 @inlined
-def _colour(
-    degree: int,
-    camera: Any,
-    mean: Any,
-    base: int,
-    count: int,
-    sh0: Any,
-    shN: Any,
-    sh: Any,
-    scratch: Any,
-) -> tuple[Any, Any, Any]:
+def _colour(degree, camera, mean, base, count, sh0, shN, sh, scratch):
     """As seen from the camera, not clamped."""
     first = take3(sh0, base, count, scratch)
     red, green, blue = HALF + Y0 * first[0], HALF + Y0 * first[1], HALF + Y0 * first[2]
@@ -104,7 +90,7 @@ def _colour(
 
 
 @inlined
-def _clamped(red: Any, green: Any, blue: Any) -> Any:
+def _clamped(red, green, blue):
     """Bit c (as a number) is set where colour c is below 0."""
     flag = select(greater(zeros(), red), splat(ONE), zeros())
     flag = flag + select(greater(zeros(), green), splat(TWO), zeros())
@@ -112,7 +98,7 @@ def _clamped(red: Any, green: Any, blue: Any) -> Any:
 
 
 @inlined
-def _centre(camera: Any, x: Any, y: Any, z: Any, w: Any, h: Any) -> tuple[Any, Any, Any]:
+def _centre(camera, x, y, z, w, h):
     """(u, v) of the mean, and whether it lies beyond the near plane and not far off the image."""
     inverse_z = ONE / z
     u = camera[15] * x * inverse_z + camera[17]
@@ -123,7 +109,7 @@ def _centre(camera: Any, x: Any, y: Any, z: Any, w: Any, h: Any) -> tuple[Any, A
 
 
 @inlined
-def _spread(camera: Any, x: Any, y: Any, z: Any, quat: Any, log_scale: Any) -> tuple[Any, ...]:
+def _spread(camera, x, y, z, quat, log_scale):
     """(xx, xy, yy, determinant) of the covariance on the screen."""
     qw, qx, qy, qz, _ = unit_quat(quat)
     m = times_rotation(screen_axes(camera, x, y, z), rotation(qw, qx, qy, qz))
@@ -131,7 +117,7 @@ def _spread(camera: Any, x: Any, y: Any, z: Any, quat: Any, log_scale: Any) -> t
 
 
 @inlined
-def _row(centre: Any, spread: Any, colour: Any, z: Any, reach: Any, opacity: Any) -> Any:
+def _row(centre, spread, colour, z, reach, opacity):
     """The 16 values that the tiles and the gradients read; see `binning` and `tiles.seen_from`."""
     xx, xy, yy, determinant = spread
     inverse = ONE / determinant
@@ -144,7 +130,7 @@ def _row(centre: Any, spread: Any, colour: Any, z: Any, reach: Any, opacity: Any
 
 
 @inlined
-def _put_numbers(target: Any, base: int, count: int, values: Any, whole: Any) -> None:
+def _put_numbers(target, base, count, values, whole):
     """Write the first `count` lanes into an array of whole numbers. whole: scratch of its type."""
     store_whole(whole, 0, values)
     for lane in range(count):
@@ -152,15 +138,7 @@ def _put_numbers(target: Any, base: int, count: int, values: Any, whole: Any) ->
 
 
 @kernel
-def project(
-    block: int,
-    blocks: int,
-    gaussians: Any,
-    degree: int,
-    camera: Any,
-    size: Any,
-    out: Any,
-) -> None:
+def project(block, blocks, gaussians, degree, camera, size, out):
     """Project the Gaussians (`Arrays.flat`) to an image of size (width, height).
 
     Args:
@@ -201,6 +179,6 @@ def project(
         on_screen, covered = _covered(u, v, rx, ry, w, h)
         visible = both(visible, on_screen)
         put1(radii, base, count, scratch, select(visible, maximum(rx, ry), zeros()))
-        put_row(rows, base, count, _row((u, v), spread, colour, z, (rx, ry), opacity), sh)
+        put_row(rows, base, count, sh, _row((u, v), spread, colour, z, (rx, ry), opacity))
         _put_numbers(bound, base, count, select(visible, covered, zeros()), whole)
         _put_numbers(clipped, base, count, _clamped(colour[0], colour[1], colour[2]), flags)

@@ -11,10 +11,7 @@ consecutive and are summed into one "part". The parts of one Gaussian are consec
 threads than strips, some threads have nothing to do in this phase.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
@@ -46,9 +43,7 @@ _LOG2_255, _TILE = f4(math.log2(255)), f4(1 / 16)
 
 
 @kernel
-def depth_order(
-    rows: Any, bound: Any, keys: Any, spare: Any, order: Any, start: Any
-) -> tuple[int, int]:
+def depth_order(rows, bound, keys, spare, order, start):
     """Sort the visible Gaussians (bound > 0) by depth.
 
     Their indices go into order[:n], and the prefix sums of bound in that order into start[:n + 1].
@@ -93,7 +88,7 @@ def depth_order(
 
 
 @inlined
-def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
+def _edge(at, x0, x1, ellipse, sign):
     """Compute the extreme dy of the upper (sign -1) or lower branch of ellipses in some columns.
 
     The columns are x0 ... x1 of dx; the extreme point of the whole branch is at dx = at.
@@ -110,7 +105,7 @@ def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
 
 
 @inlined
-def _reached(gathered: Any, width: int, height: int, columns: Any, reach: Any) -> None:
+def _reached(gathered, width, height, columns, reach):
     """Compute which tiles sixteen ellipses touch.
 
     gathered: their rows, flat [16 16]. columns: out, [2, 16], first and last column of tiles.
@@ -139,23 +134,7 @@ def _reached(gathered: Any, width: int, height: int, columns: Any, reach: Any) -
 
 
 @kernel
-def count_tiles(
-    block: int,
-    blocks: int,
-    n: int,
-    order: Any,
-    rows: Any,
-    start: Any,
-    width: int,
-    height: int,
-    strips: Any,
-    items: Any,
-    touched: Any,
-    n_parts: Any,
-    histogram: Any,
-    strip_items: Any,
-    strip_parts: Any,
-) -> None:
+def count_tiles(block, blocks, n, size, rows, strips, items, listed, counts):
     """List the tiles of the Gaussians order[k], for the k of this block.
 
     items[start[k]...] receives (tile << 9 | 256 where a part begins | last row << 4 | first row).
@@ -163,8 +142,14 @@ def count_tiles(
     strip_items[block, strip] and strip_parts[block, strip] count items and parts.
 
     Args:
+        size: width and height.
         strips: the strip of every tile.
+        listed: order, start, touched and n_parts.
+        counts: histogram, strip_items and strip_parts.
     """
+    width, height = size
+    order, start, touched, n_parts = listed
+    histogram, strip_items, strip_parts = counts
     n_columns = (width + 15) // 16
     histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
     flat = rows.reshape(-1)
@@ -204,7 +189,7 @@ def count_tiles(
 
 
 @inlined
-def _places(counts: Any, offsets: Any) -> None:
+def _places(counts, offsets):
     """counts [block, list] becomes every block's first place in each of the lists, which follow one
     another; offsets [lists + 1]: where they begin."""
     place = 0
@@ -218,27 +203,20 @@ def _places(counts: Any, offsets: Any) -> None:
 
 
 @kernel
-def prefix_tiles(
-    n: int,
-    order: Any,
-    n_parts: Any,
-    first: Any,
-    histogram: Any,
-    offsets: Any,
-    strip_parts: Any,
-    bounds: Any,
-    strip_items: Any,
-    n_slots: Any,
-) -> None:
-    """Turn counts into first positions.
+def prefix_tiles(n, listed, first, counts, ends):
+    """Turn counts into first positions; `listed` and `counts` as in `count_tiles`.
+
+    For every block, histogram becomes its first position in the tiles' lists, which begin at
+    offsets. strip_parts becomes that in the strips' lists of parts, which begin at bounds.
+    strip_items becomes that among a strip's n_slots slots.
 
     Args:
-        n_parts: [n], parts of the Gaussians order[k].
-        first: [N + 1], out, a Gaussian's first part. For every block, histogram becomes its first
-            position in the tiles' lists, which begin at offsets. strip_parts becomes that in the
-            strips' lists of parts, which begin at bounds. strip_items becomes that among a strip's
-            n_slots slots.
+        first: [N + 1], out, a Gaussian's first part.
+        ends: offsets, bounds and n_slots, out.
     """
+    order, _, _, n_parts = listed
+    histogram, strip_items, strip_parts = counts
+    offsets, bounds, n_slots = ends
     first[:] = 0
     for k in range(n):  # here: threads that scatter into one array wait for each other's lines
         first[order[k]] = n_parts[k]
@@ -259,24 +237,12 @@ def prefix_tiles(
 
 
 @kernel
-def fill_tiles(
-    block: int,
-    blocks: int,
-    n: int,
-    order: Any,
-    start: Any,
-    strips: Any,
-    items: Any,
-    touched: Any,
-    first: Any,
-    histogram: Any,
-    strip_items: Any,
-    strip_parts: Any,
-    lists: Any,
-    parts: Any,
-) -> None:
+def fill_tiles(block, blocks, n, strips, items, listed, first, counts, lists_and_parts):
     """Write this block's items into the tiles' lists [items, 2], and its parts into the strips'
     lists [parts, 2]: which part it is, and its first slot."""
+    order, start, touched, _ = listed
+    histogram, strip_items, strip_parts = counts
+    lists, parts = lists_and_parts
     places, next_slot, next_part = histogram[block], strip_items[block], strip_parts[block]
     flat, flat_parts = lists.reshape(-1), parts.reshape(-1)
     for tile in range(0, len(places), LANES):  # another thread wrote these
@@ -303,7 +269,7 @@ def fill_tiles(
 
 
 @inlined
-def gather(strip: int, bounds: Any, parts: Any, count: int, slots: Any, sums: Any) -> None:
+def gather(strip, bounds, parts, count, slots, sums):
     """Sum a strip's slots (flat [count 16]) into its parts (flat [parts 16]), in their order."""
     for k in range(bounds[strip], bounds[strip + 1]):
         end = parts[k + 1, 1] if k + 1 < bounds[strip + 1] else count

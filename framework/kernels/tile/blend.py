@@ -5,10 +5,6 @@ alpha_i = T_i c_i - S / (1 - alpha_i) (Kerbl et al. 2023, appendix; front to bac
 is part of the initial S, which is the finished pixel.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
 from framework.compute.jit import inlined, kernel
@@ -52,9 +48,7 @@ LN2 = f4(0.6931471805599453)
 
 
 @inlined
-def _composite(
-    rows: Any, g: int, placed: Any, todo: int, limits: Any, with_depth: bool, tile: Any
-) -> None:
+def _composite(rows, g, placed, todo, limits, with_depth, tile):
     """Blend Gaussian g over the rows `todo` of a tile; tile: its transmittance, colours, depth."""
     transmittance, red, green, blue, far = tile
     cr, cg, cb = colour(rows, g)
@@ -76,9 +70,7 @@ def _composite(
 
 
 @inlined
-def _write_tile(
-    x: int, y: int, size: Any, background: Any, tile: Any, scratch: Any, image: Any
-) -> None:
+def _write_tile(x, y, size, background, tile, scratch, image):
     """A blended tile on the background, into the image: colours, alpha and depth, which may be
     empty."""
     width, height = size
@@ -98,19 +90,7 @@ def _write_tile(
 
 
 @kernel
-def blend(
-    block: int,
-    blocks: int,
-    width: int,
-    height: int,
-    rows: Any,
-    offsets: Any,
-    lists: Any,
-    background: Any,
-    rgb: Any,
-    alpha: Any,
-    depth: Any,
-) -> None:
+def blend(block, blocks, width, height, rows, offsets, lists, background, rgb, alpha, depth):
     """Render a range of tiles, since neighbours share Gaussians.
 
     rgb is flat [3 H W], alpha and depth flat [H W]. An empty depth is skipped, which saves a tenth
@@ -143,9 +123,7 @@ def blend(
 
 
 @inlined
-def _weigh(
-    total: Any, g: Any, plane: Any, place: int, count: int, buffer: Any, held: Any, at: int
-) -> Any:
+def _weigh(total, g, plane, place, count, buffer, held, at):
     """total + g x plane for a row of a tile; keeps g in its buffer. held: scratch."""
     read_row(g, place, count, buffer, at)
     read_row(plane, place, count, held, at)
@@ -153,9 +131,7 @@ def _weigh(
 
 
 @inlined
-def read_gradients(
-    x: int, y: int, size: Any, image: Any, gradient: Any, behind: Any, buffers: Any, held: Any
-) -> None:
+def read_gradients(x, y, size, image, gradient, behind, buffers, held):
     """Read the image's gradients into a tile.
 
     `behind` receives the sum over channels of the gradient times the pixel, its initial S.
@@ -181,9 +157,7 @@ def read_gradients(
 
 
 @inlined
-def _slot_sums(
-    rows: Any, g: int, placed: Any, todo: int, limits: Any, colour_alone: bool, tile: Any
-) -> Any:
+def _slot_sums(rows, g, placed, todo, limits, colour_alone, tile):
     """What Gaussian g gets from the rows `todo` of a tile, see `project_backward`; tile: its
     transmittance, what is behind its pixels and the gradients."""
     transmittance, behind, gr_, gg_, gb_, ga_, gz_ = tile
@@ -222,7 +196,7 @@ def _slot_sums(
 
 
 @inlined
-def _slot_pulls(rows: Any, g: int, placed: Any, todo: int, limits: Any, tile: Any) -> Any:
+def _slot_pulls(rows, g, placed, todo, limits, tile):
     """Sum the absolute gradient in the projected mean of Gaussian g over the rows `todo` of a tile.
 
     AbsGS (Ye et al. 2024, section 3.2): gradients of opposite sign do not cancel. The sums are in
@@ -258,9 +232,7 @@ def _slot_pulls(rows: Any, g: int, placed: Any, todo: int, limits: Any, tile: An
 
 
 @inlined
-def _differentiate(
-    strip: int, slots: Any, strips: Any, image: Any, gradient: Any, sums: Any, pulls: bool
-) -> None:
+def _differentiate(strip, slots, strips, image, gradient, sums, pulls):
     """Sum what the Gaussians of a strip get from its pixels: `_slot_pulls` or `_slot_sums`.
 
     slots: scratch, flat [at least n_slots[strip] 16]. strips: see `Workspace._strips`. image,
@@ -311,16 +283,12 @@ def _differentiate(
 
 
 @kernel
-def blend_backward(
-    strip: int, n_strips: int, slots: Any, strips: Any, image: Any, gradient: Any, sums: Any
-) -> None:
+def blend_backward(strip, n_strips, slots, strips, image, gradient, sums):
     """Fill the sums described in `project_backward`; arguments as `_differentiate`."""
     _differentiate(strip, slots, strips, image, gradient, sums, False)
 
 
 @kernel
-def blend_absolute(
-    strip: int, n_strips: int, slots: Any, strips: Any, image: Any, gradient: Any, sums: Any
-) -> None:
+def blend_absolute(strip, n_strips, slots, strips, image, gradient, sums):
     """Fill the sums of absolute gradients, in an extra pass; arguments as `_differentiate`."""
     _differentiate(strip, slots, strips, image, gradient, sums, True)

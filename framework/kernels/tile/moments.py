@@ -3,10 +3,6 @@
 The pass is like `blend_backward`, with squares instead of products with a loss's gradient.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
 from framework.compute.jit import inlined, kernel
@@ -48,7 +44,7 @@ ZERO, HALF, ONE = f4(0), f4(0.5), f4(1)
 
 
 @inlined
-def _fourth_order(dx: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any) -> tuple[Any, ...]:
+def _fourth_order(dx, m0, m1, m2, m3, m4):
     """The 15 products of order 0 to 4 from those with powers of e alone, m_j = sum of q e^j."""
     m0x, m1x, m2x = m0 * dx, m1 * dx, m2 * dx
     m0xx, m1xx = m0x * dx, m1x * dx
@@ -58,7 +54,7 @@ def _fourth_order(dx: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any) -> tuple
 
 
 @inlined
-def _cross_sums(first: Any, second: Any, todo: int, line: Any, dx: Any) -> Any:
+def _cross_sums(first, second, todo, line, dx):
     """A slot of `cross`, see `blend_moments`, from both sums r of the pixels in the rows `todo`."""
     r0, r1, r2, p0, p1, p2 = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
     while todo != 0:
@@ -73,7 +69,7 @@ def _cross_sums(first: Any, second: Any, todo: int, line: Any, dx: Any) -> Any:
 
 
 @inlined
-def _read_colours(x: int, y: int, width: int, height: int, rgb: Any, behind: Any) -> None:
+def _read_colours(x, y, width, height, rgb, behind):
     """An image's colours into a tile's."""
     plane, count = width * height, min(16, width - x)
     for row in range(min(16, height - y)):
@@ -84,7 +80,7 @@ def _read_colours(x: int, y: int, width: int, height: int, rgb: Any, behind: Any
 
 
 @inlined
-def _hide(x: int, y: int, width: int, height: int, mask: Any, transmittance: Any) -> None:
+def _hide(x, y, width, height, mask, transmittance):
     """T = 0 (finished) where a mask has no photo."""
     for j in range(min(16, height - y)):
         for i in range(min(16, width - x)):
@@ -93,18 +89,7 @@ def _hide(x: int, y: int, width: int, height: int, mask: Any, transmittance: Any
 
 
 @kernel
-def blend_moments(
-    strip: int,
-    n_strips: int,
-    slots: Any,
-    mixed: Any,
-    strips: Any,
-    rgb: Any,
-    mask: Any,
-    sums: Any,
-    slopes: Any,
-    cross: Any,
-) -> None:
+def blend_moments(strip, n_strips, slots, mixed, strips, rgb, mask, sums, slopes, cross):
     """Compute second moments of the image's derivatives: Fisher information on the screen.
 
     Let q = sum over channels of (alpha d C / d alpha)^2 and e = dy + (B / C) dx, the offset from

@@ -7,10 +7,7 @@ check. These rows decide where alpha is extrapolated (`first_alphas`), equally i
 last bits of a pixel depend on its tile.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
@@ -51,7 +48,7 @@ AHEAD = 6  # items between asking for a Gaussian's row and using it
 
 
 @inlined
-def aligned(size: int) -> Any:
+def aligned(size):
     """Uninitialised float32 scratch that begins on a cache line: a vector access that straddles two
     lines costs twice."""
     scratch = np.empty(size + 15, np.float32)
@@ -60,7 +57,7 @@ def aligned(size: int) -> Any:
 
 
 @inlined
-def alive_rows(transmittance: Any) -> int:
+def alive_rows(transmittance):
     """Bit y is set if a pixel of row y of the tile (flat [256]) still blends."""
     rows = 0
     for y in range(16):
@@ -70,13 +67,13 @@ def alive_rows(transmittance: Any) -> int:
 
 
 @inlined
-def listed_rows(item: Any) -> int:
+def listed_rows(item):
     """Bits first row ... last row of a list item."""
     return ((2 << ((item >> 4) & 15)) - 1) & ~((1 << (item & 15)) - 1)
 
 
 @inlined
-def clear_outside(transmittance: Any, x: int, y: int, width: int, height: int) -> None:
+def clear_outside(transmittance, x, y, width, height):
     """T = 1 in the image, 0 (finished) for the lanes and rows of the tile outside it."""
     for j in range(16):
         for i in range(16):
@@ -85,7 +82,7 @@ def clear_outside(transmittance: Any, x: int, y: int, width: int, height: int) -
 
 
 @inlined
-def read_row(plane: Any, at: int, count: int, buffer: Any, place: int) -> None:
+def read_row(plane, at, count, buffer, place):
     """Copy `count` of 16 values of a flat image into a flat tile buffer, zeros for the rest."""
     if count == 16:
         store(buffer, place, load(plane, at))
@@ -95,7 +92,7 @@ def read_row(plane: Any, at: int, count: int, buffer: Any, place: int) -> None:
 
 
 @inlined
-def write_row(plane: Any, at: int, count: int, value: Any, scratch: Any) -> None:
+def write_row(plane, at, count, value, scratch):
     """Write the first `count` lanes into a flat image."""
     if count == 16:
         store(plane, at, value)
@@ -106,7 +103,7 @@ def write_row(plane: Any, at: int, count: int, value: Any, scratch: Any) -> None
 
 
 @inlined
-def seen_from(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, Any, Any]:
+def seen_from(rows, g, x, y):
     """A Gaussian as the rows of the tile at (x, y) see it: dx of their lanes, dy of the first row,
     and the four coefficients of `log_alpha`."""
     dx = iota() + splat(f4(x) + HALF - rows[g, 0])
@@ -115,13 +112,13 @@ def seen_from(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, An
 
 
 @inlined
-def run_of(rows: Any, g: int) -> tuple[Any, int, Any]:
+def run_of(rows, g):
     """How alpha changes from row to row: (factor of its factor, longest run, B / C)."""
     return splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
 
 
 @inlined
-def next_run(todo: int, longest: int) -> tuple[int, int, int]:
+def next_run(todo, longest):
     """Split off the first consecutive rows of `todo`, at most `longest`: (first, count, the
     other rows).
     """
@@ -131,7 +128,7 @@ def next_run(todo: int, longest: int) -> tuple[int, int, int]:
 
 
 @inlined
-def first_alphas(placed: Any, lean: Any, row: int, count: int) -> tuple[Any, Any]:
+def first_alphas(placed, lean, row, count):
     """Compute alpha in a row of the tile, and the factor to alpha in the row below.
 
     log2(alpha) is a parabola in dy. From row to row the logarithm of the factor decreases by a
@@ -152,13 +149,13 @@ def first_alphas(placed: Any, lean: Any, row: int, count: int) -> tuple[Any, Any
 
 
 @inlined
-def log_alpha(dx: Any, dy: Any, slant: Any, shear: Any, fall: Any, peak: Any) -> Any:
+def log_alpha(dx, dy, slant, shear, fall, peak):
     """log2(alpha) at (dx, dy) from the mean."""
     return fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
 
 
 @inlined
-def longest_run(fall: Any, peak: Any) -> Any:
+def longest_run(fall, peak):
     """Compute how many rows may follow `first_alphas`, as float32 vectors.
 
     Let d = sqrt(-fall), and p the peak, or 0 if the peak is positive. A parabola below p that
@@ -172,12 +169,12 @@ def longest_run(fall: Any, peak: Any) -> Any:
 
 
 @inlined
-def colour(rows: Any, g: int) -> tuple[Any, Any, Any]:
+def colour(rows, g):
     return splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
 
 
 @inlined
-def meet(t: Any, raw: Any, limits: Any) -> tuple[Any, ...]:
+def meet(t, raw, limits):
     """A pixel with transmittance t and a Gaussian of alpha `raw`: (alpha after its limit, weight,
     whether it blends, the pixel's next t).
 
@@ -194,6 +191,6 @@ def meet(t: Any, raw: Any, limits: Any) -> tuple[Any, ...]:
 
 
 @inlined
-def blend_limits() -> tuple[Any, Any, Any]:
+def blend_limits():
     """Broadcast: the least alpha that blends, the least transmittance, the most alpha."""
     return splat(_MIN), splat(_STOP), splat(_MAX)

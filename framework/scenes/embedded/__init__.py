@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 class Embedded(EmbeddedOptions):
     """A ray-traced room in the repository itself, with exact depth.
 
-    The training cameras form a zigzag (protocol `rig`). The eight test cameras are always the same;
-    they are tagged `interpolating` (inside the training cameras' hull) or `extrapolating`.
+    The training cameras form a zigzag (protocol `rig`). The eight test cameras are always the same.
     """
 
     poses_are_exact: ClassVar[bool] = True

@@ -4,8 +4,6 @@ Few and plain on purpose: numba counts references atomically whenever an array l
 costs more than the arithmetic of a ray.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -26,38 +24,19 @@ MIRROR = 22
 GLOW = 23
 TEXTURE = 24  # offset in `World.texels`, height, width; offset -1 = plain
 MEAN = 27  # r g b, linear mean of the texture
-COLUMNS = 30
-
-# columns of `World.lights`
-TOWARDS = 0  # unit vector to the light
-ACROSS = 3  # two axes across its rays
-GRID = 9  # origin along both axes, size of a cell
-LIGHT_COLUMNS = 12
+BALL = 30  # squared radius of a ball around the solid
+CASTS = 31  # 1 if it shades others, else 0
 
 
 class World(NamedTuple):
-    """P solids and L light directions over G x G light cells.
+    """P solids and L light directions.
 
     Attributes:
-        solids: [P, COLUMNS] float64.
+        solids: [P, 32] float64.
         texels: [*] uint8, all textures one after another, row-major RGB.
-        lights: [L, LIGHT_COLUMNS] float64.
-        casters: [L, G, G, P + 1] int16, the solids that may shade what lies in a cell, ended by -1.
+        lights: [L, 3] float64, unit vectors to the light.
     """
 
     solids: NDArray[np.float64]
     texels: NDArray[np.uint8]
     lights: NDArray[np.float64]
-    casters: NDArray[np.int16]
-
-
-class Tiles(NamedTuple):
-    """The solids a camera may meet first in each tile of `size` x `size` pixels.
-
-    Attributes:
-        members: [T + 1, P + 1] int16, row-major tiles, each list ended by -1; the last one lists
-            all.
-    """
-
-    size: int
-    members: NDArray[np.int16]

@@ -48,8 +48,8 @@ def _positions(options: EmbeddedOptions) -> tuple[list[Vector], list[Vector]]:
 def _render(options: EmbeddedOptions) -> Pictures:
     """All views, training first."""
     from framework.compute.parallel import run_blocks
-    from framework.scenes.embedded.build import build_world, camera_tiles
     from framework.scenes.embedded.trace import trace_rows
+    from framework.scenes.embedded.world import build_world
 
     width, height, samples = options.width, options.height, options.supersampling
     focal = rig.FOCAL_WIDTHS * width
@@ -59,10 +59,7 @@ def _render(options: EmbeddedOptions) -> Pictures:
     depths = np.zeros(images.shape[:3], dtype=np.float32)
     for position, image, depth in zip(train + test, images, depths, strict=True):
         pose = rig.pose(position, options.spread)
-        tiles = camera_tiles(pose, focal, width, height)
-        run_blocks(
-            trace_rows, *world, tiles.members, tiles.size, pose, focal, samples, image, depth
-        )
+        run_blocks(trace_rows, *world, pose, focal, samples, image, depth)
     return Pictures(images, depths)
 
 
@@ -125,15 +122,12 @@ def load(options: EmbeddedOptions) -> Scene:
     K = intrinsics(focal, focal, 0.5 * options.width, 0.5 * options.height)
     poses = np.stack([rig.pose(p, options.spread) for p in train + test])
     names = [f"train{k:02d}" for k in range(n)] + [f"test{k:02d}" for k in range(len(test))]
-    tags = [()] * n + [
-        ("interpolating",) if rig.is_inside(p, train) else ("extrapolating",) for p in test
-    ]
     noisy = list(poses)
     if options.pose_noise > 0:
         noisy[:n] = rig.perturbed(poses[:n], options.pose_noise / focal)
     shots = [
-        Shot(name, _world_to_camera(pose), K, image, depth, tags=tag)
-        for name, pose, image, depth, tag in zip(names, noisy, *pictures, tags, strict=True)
+        Shot(name, _world_to_camera(pose), K, image, depth)
+        for name, pose, image, depth in zip(names, noisy, *pictures, strict=True)
     ]
     points = Tracks(*sparse_points(pictures.images[:n], pictures.depths[:n], poses[:n], focal))
     depths = pictures.depths[:n]

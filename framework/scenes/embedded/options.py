@@ -1,12 +1,10 @@
 """The options of the embedded scene, below what generates it. Light to import."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 
 from framework.errors import check_option
-from framework.scenes.options import check_n_views
+from framework.scenes.layout import check_n_views
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ two training views see them by the depth test. So their positions are exact (rea
 only elementwise `+ - * /` and comparisons are used, for identical bits.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

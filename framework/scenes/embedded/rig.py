@@ -3,8 +3,6 @@
 Positions are in units of `spread` on the plane z = 0, viewing directions converge on a far point.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,36 +30,6 @@ def training_positions(n: int) -> list[Vector]:
     if n == 1:
         return [(0.0, -0.5, 0.0)]
     return [(2.0 * k / (n - 1) - 1.0, 0.5 if k % 2 else -0.5, 0.0) for k in range(n)]
-
-
-def _hull(points: list[Vector]) -> list[Vector]:
-    """Corners of the convex hull in the plane, in turn (Andrew's monotone chain)."""
-
-    def chain(ordered: list[Vector]) -> list[Vector]:
-        out: list[Vector] = []
-        for p in ordered:
-            while len(out) > 1 and _turn(out[-2], out[-1], p) <= 0.0:
-                out.pop()
-            out.append(p)
-        return out[:-1]
-
-    return chain(sorted(points)) + chain(sorted(points, reverse=True))
-
-
-def _turn(a: Vector, b: Vector, p: Vector) -> float:
-    return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
-
-
-def is_inside(p: Vector, training: list[Vector]) -> bool:
-    """Whether `p` lies in the hull of the training positions (all of which have z = 0)."""
-    if p[2] != 0.0 or len(training) < 2:
-        return p in training
-    if len(training) == 2:
-        a, b = training
-        along = min(a[0], b[0]) <= p[0] <= max(a[0], b[0])
-        return along and _turn(a, b, p) == 0.0
-    ring = _hull(training)
-    return all(_turn(a, b, p) >= 0.0 for a, b in zip(ring, ring[1:] + ring[:1], strict=True))
 
 
 def pose(position: Vector, spread: float) -> NDArray[np.float64]:

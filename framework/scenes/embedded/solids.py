@@ -5,15 +5,13 @@ Rays are `o + t d` with any length of `d`; a miss is `t = inf`. Formulas: quadra
 the curved solids, the slab method for boxes (Kay & Kajiya 1986).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from framework.scenes.embedded.arrays import AXES, BOX, CENTER, CYLINDER, HALF, REPEAT, SHAPE
+from framework.scenes.embedded.arrays import AXES, BALL, BOX, CENTER, CYLINDER, HALF, REPEAT, SHAPE
 
 # Not cached on disk: numba would not notice a change in one of the three kernel files, and what
 # the kernels make is itself cached.
@@ -24,7 +22,7 @@ NEAREST = 1e-6  # hits nearer than this (in units of d) are the surface the ray 
 
 
 @njit(**INNER)
-def _slab(o, d, h):  # type: ignore[no-untyped-def]
+def _slab(o, d, h):
     """The interval of t in which a coordinate o + t d lies in [-h, h]."""
     if d == 0.0:
         return (-np.inf, np.inf) if -h <= o <= h else (np.inf, -np.inf)
@@ -33,7 +31,7 @@ def _slab(o, d, h):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _box(o, d, h):  # type: ignore[no-untyped-def]
+def _box(o, d, h):
     enter, leave = _slab(o[0], d[0], h[0])
     a, b = _slab(o[1], d[1], h[1])
     enter, leave = max(enter, a), min(leave, b)
@@ -45,7 +43,7 @@ def _box(o, d, h):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _ellipsoid(o, d, h):  # type: ignore[no-untyped-def]
+def _ellipsoid(o, d, h):
     ox, oy, oz = o[0] / h[0], o[1] / h[1], o[2] / h[2]
     dx, dy, dz = d[0] / h[0], d[1] / h[1], d[2] / h[2]
     a = dx * dx + dy * dy + dz * dz
@@ -60,7 +58,7 @@ def _ellipsoid(o, d, h):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _cylinder(o, d, h):  # type: ignore[no-untyped-def]
+def _cylinder(o, d, h):
     ox, oz, dx, dz = o[0] / h[0], o[2] / h[2], d[0] / h[0], d[2] / h[2]
     best = np.inf
     a = dx * dx + dz * dz
@@ -80,7 +78,7 @@ def _cylinder(o, d, h):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _local(solids, p, x, y, z):  # type: ignore[no-untyped-def]
+def _local(solids, p, x, y, z):
     """World direction to the local axes of solid `p`."""
     return (
         solids[p, AXES] * x + solids[p, AXES + 1] * y + solids[p, AXES + 2] * z,
@@ -90,19 +88,35 @@ def _local(solids, p, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _local_point(solids, p, x):  # type: ignore[no-untyped-def]
+def _local_point(solids, p, x):
     a, b, c = solids[p, CENTER], solids[p, CENTER + 1], solids[p, CENTER + 2]
     return _local(solids, p, x[0] - a, x[1] - b, x[2] - c)
 
 
 @njit(**INNER)
-def _half(solids, p):  # type: ignore[no-untyped-def]
+def _half(solids, p):
     return solids[p, HALF], solids[p, HALF + 1], solids[p, HALF + 2]
 
 
 @njit(**INNER)
-def hit(solids, p, o, d):  # type: ignore[no-untyped-def]
+def dot(a, b):
+    """Inner product of two triples."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(**INNER)
+def _passes(solids, p, o, d):
+    """Whether the ray misses the ball around solid `p`, which is quick to tell."""
+    x, y, z = solids[p, CENTER] - o[0], solids[p, CENTER + 1] - o[1], solids[p, CENTER + 2] - o[2]
+    along = x * d[0] + y * d[1] + z * d[2]
+    return (x * x + y * y + z * z - solids[p, BALL]) * dot(d, d) > along * along
+
+
+@njit(**INNER)
+def hit(solids, p, o, d):
     """t of the nearest hit of the ray (o, d) with solid `p`, inf if it misses."""
+    if _passes(solids, p, o, d):
+        return np.inf
     h = _half(solids, p)
     local_o, local_d = _local_point(solids, p, o), _local(solids, p, d[0], d[1], d[2])
     shape = solids[p, SHAPE]
@@ -116,13 +130,13 @@ def hit(solids, p, o, d):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _fit(c, h, repeat):  # type: ignore[no-untyped-def]
+def _fit(c, h, repeat):
     """Texture coordinate of the local coordinate c in [-h, h]: [0, 1] over the face, or tiled."""
     return c / repeat if repeat > 0.0 else 0.5 * (c / h + 1.0)
 
 
 @njit(**INNER)
-def _box_surface(q, h, repeat):  # type: ignore[no-untyped-def]
+def _box_surface(q, h, repeat):
     x, y, z = q[0] / h[0], q[1] / h[1], q[2] / h[2]
     if abs(x) >= abs(y) and abs(x) >= abs(z):
         n = (1.0 if x > 0.0 else -1.0, 0.0, 0.0)
@@ -135,7 +149,7 @@ def _box_surface(q, h, repeat):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def _cylinder_surface(q, h, repeat):  # type: ignore[no-untyped-def]
+def _cylinder_surface(q, h, repeat):
     x, z = q[0] / h[0], -q[2] / h[2]
     if abs(q[1]) / h[1] > x * x + z * z:
         n = (0.0, 1.0 if q[1] > 0.0 else -1.0, 0.0)
@@ -149,7 +163,7 @@ def _cylinder_surface(q, h, repeat):  # type: ignore[no-untyped-def]
 
 
 @njit(**INNER)
-def surface(solids, p, x):  # type: ignore[no-untyped-def]
+def surface(solids, p, x):
     """Outward unit normal (world) and texture coordinates of solid `p` at the world point x."""
     h, q = _half(solids, p), _local_point(solids, p, x)
     shape, repeat = solids[p, SHAPE], solids[p, REPEAT]

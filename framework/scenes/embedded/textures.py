@@ -3,8 +3,6 @@
 Only files inside its wheel, and only PNG: their decoding is exact, that of JPEG is not.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

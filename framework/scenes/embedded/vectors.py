@@ -4,8 +4,6 @@ They use `+ - * /` and `sqrt` only, which IEEE 754 rounds exactly. A BLAS produc
 may differ in the last bit.
 """
 
-from __future__ import annotations
-
 import math
 
 Vector = tuple[float, float, float]

@@ -10,11 +10,14 @@ for bit, for any number of threads; another machine may round differently.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.errors import check_option
-from framework.scenes.options import check_folder_options
+from framework.files.limits import PHOTO_PIXELS
+from framework.scenes.colmap import Colmap, list_colmap
+from framework.scenes.decoding import image_size
+from framework.scenes.layout import FolderScene, load_listed
 from framework.scenes.splits import ALL
 
 if TYPE_CHECKING:
@@ -26,24 +29,24 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Photos:
+class Photos(FolderScene):
     """Photos without poses: pycolmap finds them, once.
 
     Attributes:
         near, far: depth bounds in units of the poses; null = from the points.
     """
 
+    layout: ClassVar[str] = "photos"
+    least_downscale: ClassVar[int] = 0
+
     path: str  # folder of the photos, or a video
     n_views: int | str = ALL  # training views; all = every one that is not for testing
-    side: int = 1200  # pixels; larger photos are first reduced to this longer side
     downscale: int = 0  # by which they are then reduced; 0 = until the longer side is at most 800
+    side: int = 1200  # pixels; larger photos are first reduced to this longer side
     frames: int = 40  # of a video: so many of its frames are taken, the sharpest ones
-    near: float | None = None
-    far: float | None = None
-    split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
-        check_folder_options("photos", self)
+        super().__post_init__()
         check_option(self, "scene", "side", 64 <= self.side <= 8192, "64 to 8192 pixels")
         check_option(self, "scene", "frames", 3 <= self.frames <= 1000, "3 to 1000")
 
@@ -53,9 +56,6 @@ class Photos:
         Raises:
             UserError: too few photos can be placed.
         """
-        from framework.files.limits import PHOTO_PIXELS
-        from framework.scenes.colmap import Colmap, load_colmap
-        from framework.scenes.decoding import image_size
         from framework.scenes.photos.advice import advice
         from framework.scenes.photos.process import poses_folder
         from framework.scenes.photos.result import read_result
@@ -77,13 +77,8 @@ class Photos:
                 "scene=photos: trained at %dx%d pixels (scene.downscale=%d of %dx%d)",
                 *(width // downscale, height // downscale, downscale, width, height),
             )
-        options = Colmap(
-            str(folder),
-            n_views=self.n_views,
-            downscale=downscale,
-            near=self.near,
-            far=self.far,
-            split=self.split,
-        )
+        shared = {name: getattr(self, name) for name in ("n_views", "near", "far", "split")}
+        options = Colmap(str(folder), downscale=downscale, **shared)
         masks = source.folder.parent if source.folder.name == "images" else source.folder
-        return load_colmap("photos", folder, images, options, source.title, masks)
+        listed = list_colmap(options, folder, images, self.layout, masks)
+        return load_listed(options, replace(listed, name=source.title))

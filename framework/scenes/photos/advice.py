@@ -1,7 +1,5 @@
 """Messages about photos that could not be placed, and what to do about them."""
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -4,12 +4,10 @@ pycolmap gets its work in portions, so that progress can be shown. Photos and ca
 first and in order: their ids, and all results, then do not depend on the order of threads.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,22 +16,16 @@ from framework.scenes.photos.options import SEED, Step, extraction, matching, pa
 from framework.scenes.photos.placing import Placing, place
 from framework.scenes.photos.prepare import Photo
 from framework.scenes.photos.process import Messages
-from framework.scenes.photos.result import Link, Overruled, Try
+from framework.scenes.photos.result import Link, Poses, Try
 
 PORTION = 50  # pairs of photos
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """model: pycolmap's, None if there is none. The other fields are those of `Result`."""
+@dataclass(frozen=True, kw_only=True)
+class Attempt(Poses):
+    """model: pycolmap's, None if there is none."""
 
     model: Any = None
-    held: bool = False
-    overruled: Overruled | None = None
-    placed: dict[str, int] = field(default_factory=dict)
-    groups: list[list[str]] = field(default_factory=list)
-    features: dict[str, int] = field(default_factory=dict)
-    links: list[Link] = field(default_factory=list)
 
 
 def attempt(
@@ -60,15 +52,10 @@ def attempt(
     placed, *others = [_points_seen(model, names) for model in placing.models] or [{}]
     groups = [sorted(set(other) - set(placed)) for other in others]
     seconds = [after - before for before, after in itertools.pairwise(marks)]
-    return Attempt(
-        model=placing.models[0] if placing.models else None,
-        held=placing.held,
-        overruled=placing.overruled,
-        placed=placed,
-        groups=[group for group in groups if len(group) > 1],
-        features=features,
-        links=links,
-    ), Try(step.name, len(placed), *seconds)
+    groups = [group for group in groups if len(group) > 1]
+    model = placing.models[0] if placing.models else None
+    poses = placed, groups, features, links, placing.held, placing.overruled
+    return Attempt(*poses, model=model), Try(step.name, len(placed), *seconds)
 
 
 def _enter(photos: Sequence[Photo], images: Path, database: Path) -> None:

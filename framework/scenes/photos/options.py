@@ -7,8 +7,6 @@ slow. Each step tries COLMAP's usual thresholds, and lower ones if photos are le
 photos with few features cannot reach the hundreds of matches that the usual ones require.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

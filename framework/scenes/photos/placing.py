@@ -6,8 +6,6 @@ photos are placed again with a fixed focal length and no distortion. It is EXIF'
 the longer side (42 mm on film). A plausible estimate that fits clearly better wins over EXIF's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -8,8 +8,6 @@ Results are made in a work folder, under its lock, and renamed when they are com
 interrupted search leaves nothing, and of two processes with the same photos one searches.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -1,7 +1,5 @@
 """The result of a search for poses, kept as `poses.json` next to the model."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from dataclasses import dataclass, field
@@ -58,32 +56,41 @@ class Try:
 
 
 @dataclass(frozen=True)
-class Result:
-    """The result of a search.
+class Poses:
+    """The poses that an attempt finds, without the model.
 
     Attributes:
-        photos: all photos, in order.
         placed: photo with a pose -> number of 3D points that it sees.
         groups: photos with poses relative to each other, but not to the scene.
         features: photo -> number of its features.
         held: the focal length was fixed, as the photos do not determine it.
-        reduced: some photos were larger than `scene.side`.
-        copies: see `Source`.
         overruled: EXIF's focal length, if the photos contradict it.
     """
 
+    placed: dict[str, int] = field(default_factory=dict)
+    groups: list[list[str]] = field(default_factory=list)
+    features: dict[str, int] = field(default_factory=dict)
+    links: list[Link] = field(default_factory=list)
+    held: bool = False
+    overruled: Overruled | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result(Poses):
+    """The result of a search.
+
+    Attributes:
+        photos: all photos, in order.
+        reduced: some photos were larger than `scene.side`.
+        copies: see `Source`.
+    """
+
     photos: list[str]
-    placed: dict[str, int]
-    groups: list[list[str]]
-    features: dict[str, int]
-    links: list[Link]
     tries: list[Try]
     seconds: float
-    held: bool = False
     video: bool = False
     reduced: bool = False
     copies: dict[str, str] = field(default_factory=dict)
-    overruled: Overruled | None = None
 
 
 def write_result(folder: Path, result: Result) -> None:

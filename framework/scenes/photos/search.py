@@ -5,8 +5,6 @@
 It leaves `images`, `sparse/0` and `poses.json` in the folder of the request.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -14,10 +12,12 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from framework.compute.orphans import watch
 from framework.errors import UserError, mendable, os_line, require
@@ -26,12 +26,9 @@ from framework.scenes.photos.attempt import Attempt, attempt
 from framework.scenes.photos.options import STEPS
 from framework.scenes.photos.prepare import Photo, prepare
 from framework.scenes.photos.process import Messages
-from framework.scenes.photos.result import Result, Try, write_result
+from framework.scenes.photos.result import Poses, Result, Try, write_result
 from framework.scenes.photos.source import FEWEST
 from framework.scenes.photos.video import sharpest_frames
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 def main() -> None:
@@ -69,15 +66,10 @@ def search(request: dict[str, Any], messages: Messages) -> None:
     best, tries = _best(photos, folder, request["threads"], messages)
     seconds = time.monotonic() - started
     result = Result(
+        **{field.name: getattr(best, field.name) for field in fields(Poses)},
         photos=[photo.name for photo in photos],
-        placed=best.placed,
-        groups=best.groups,
-        features=best.features,
-        links=best.links,
         tries=tries,
         seconds=seconds,
-        held=best.held,
-        overruled=best.overruled,
         video=request["video"],
         reduced=any(photo.reduced for photo in photos),
         copies=request["copies"],

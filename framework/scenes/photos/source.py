@@ -3,8 +3,6 @@
 The key depends on the photos' names and bytes, not on their dates.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 from collections.abc import Sequence

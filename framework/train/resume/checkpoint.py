@@ -9,8 +9,6 @@ The next one is due after 75 times the cost of the last one, so they take less t
 training. The cost of the first is estimated. Checkpoints change no result.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib

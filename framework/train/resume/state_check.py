@@ -4,8 +4,6 @@ A checkpoint's checksum detects accidents, not intent. These checks bound what a
 could do: every tensor comes from the file, so it is no larger, and has the expected shape.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -4,8 +4,6 @@ Random streams need no state, as (seed, purpose, step) determines them. Real vie
 scene and are not stored; the pseudo views of an epoch are, since they were made at its start.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, Self
