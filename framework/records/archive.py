@@ -99,7 +99,8 @@ def _entry(folder: Path, content: Mapping[str, Any]) -> Entry:
     metrics = _table(content["metrics"], ("view", "tags", "file", "psnr", "render_s"))
     history = _table(content["history"], ("step", "seconds", "test_psnr"))
     run_dir = folder / RUN_FOLDERS / name
-    return Entry(Run(run_dir, record_of(content["record"]), metrics, history), kind, again)
+    record = record_of({"files": {}, **content["record"]})
+    return Entry(Run(run_dir, record, metrics, history), kind, again)
 
 
 def _columns(table: Table) -> dict[str, list[Any]]:

@@ -20,13 +20,13 @@ class Failure:
     Attributes:
         error: one line.
         kind: a word or two.
-        again: the command that repeats the run. Both texts are "" if they were not kept.
+        again: the command that repeats the run; "" if unknown.
     """
 
     error: str
     kind: str
     overrides: tuple[str, ...]
-    again: str = ""
+    again: str
 
 
 def read_failure(run_dir: Path) -> Failure:
@@ -40,5 +40,5 @@ def read_failure(run_dir: Path) -> Failure:
             f"{path}: expected the error of a failed run, got a damaged file"
             f" ({type(error).__name__}: {error}); delete that folder and run again"
         ) from error
-    kind, again = content.get("kind", ""), content.get("again", "")
-    return Failure(content["error"], kind, tuple(content["overrides"]), again)
+    overrides = tuple(content["overrides"])
+    return Failure(content["error"], content["kind"], overrides, content["again"])

@@ -46,7 +46,6 @@ from framework.records.provenance import plain_json, provenance, strict_json
 from framework.records.record_check import check_record
 from framework.records.run_files import (
     HISTORY_CSV,
-    LATER,
     METRICS_CSV,
     RENDERS,
     HistoryRow,
@@ -113,8 +112,7 @@ class RunRecord:
         dose: what the method did, by the trainer's own counts, as a flat mapping to numbers and
             texts; empty where none were kept.
         warnings: everything that the run warned about, one line each.
-        files: path within the folder -> bytes and SHA-256 of every other file that the run wrote;
-            empty in older records.
+        files: path within the folder -> bytes and SHA-256 of every other file that the run wrote.
         error: one line, of a failed run.
     """
 
@@ -406,11 +404,6 @@ def record_of(content: dict[str, Any]) -> RunRecord:
     check_record(content)
     scene = content["scene"]
     lists = ("training", "test")
-    # older records lack these fields
-    added: dict[str, Any] = {"resumed": 0, "banded": None, "dose": {}, "warnings": [], "files": {}}
-    content = {**added, **content}
-    unmeasured = {name: {"mean": None, "missing": why} for name, why in LATER.items()}
-    summary = content["summary"] and unmeasured | content["summary"]  # a failed run's is empty
     fields = {f.name: content[f.name] for f in dataclasses.fields(RunRecord)}
     return RunRecord(
         **fields
@@ -425,7 +418,7 @@ def record_of(content: dict[str, Any]) -> RunRecord:
             },
             "summary": {
                 name: Missing(entry["missing"]) if entry["mean"] is None else entry["mean"]
-                for name, entry in summary.items()
+                for name, entry in content["summary"].items()
             },
         }
     )

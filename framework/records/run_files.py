@@ -42,8 +42,6 @@ EXPORT, PICTURES = "export", "pictures"  # folders of `fishersplat export` and `
 EXPORTED = ("ply", "compressed.ply", "spz", "splat", "sog")  # endings of `EXPORT`/scene
 SOFTWARE, WRITER = "Software", "fishersplat render"  # written into each picture of `PICTURES`
 METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
-# metrics that older runs do not have, and why
-LATER = {"lpips_01": "the run was recorded before this was measured"}
 TEXT_COLUMNS = ("view", "tags", "file", "missing")
 COUNT_COLUMNS = ("step", "gaussians", "sh_degree")
 LOGGED = "log/"  # begins the columns of what plugins log
@@ -132,9 +130,8 @@ def read_table(path: Path) -> Table:
     """
     columns, *rows = list(csv.reader(io.StringIO(read_text(path, RUN_BYTES), newline="")))
     needed = METRIC_COLUMNS if path.name == METRICS_CSV else HISTORY_COLUMNS
-    check_columns(columns, [name for name in needed if name not in LATER])
+    check_columns(columns, needed)
     cells = {name: [row[index] for row in rows] for index, name in enumerate(columns)}
-    cells |= {name: [""] * len(rows) for name in needed if name not in cells}
     check_stems(cells.get("file", []))
     check_views(cells.get("view", []), cells.get("tags", []))
     texts = {name: column for name, column in cells.items() if name in TEXT_COLUMNS}

@@ -114,7 +114,8 @@ def test_a_failed_run_without_a_record_is_listed(tmp_path: Path) -> None:
     fake_run(tmp_path, "safi", seed=0)
     folder = tmp_path / "runs" / "x"
     folder.mkdir()
-    (folder / "failed.json").write_text('{"error": "no overlap", "overrides": ["seed=1"]}')
+    content = {"error": "no overlap", "kind": "", "overrides": ["seed=1"], "again": ""}
+    (folder / "failed.json").write_text(json.dumps(content))
     (failed,) = collect(tmp_path).failed
     assert (failed.error, failed.overrides, failed.seed) == ("no overlap", ("seed=1",), None)
     (folder / "failed.json").write_text("{")
