@@ -15,15 +15,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from framework.errors import require
 from framework.exports.formats import finest_fraction, full, spz
-from framework.exports.opened import OpenedRun, read_named_cameras
-from framework.files.documents import read_json
-from framework.files.limits import TEXT_BYTES
+from framework.exports.opened import OpenedRun, read_run_cameras
 from framework.files.opened import is_file
 from framework.files.paths import inside
 from framework.metrics.evaluate import psnr
@@ -81,19 +79,18 @@ def read_photos(folder: Path) -> tuple[list[Photo], list[Photo]]:
     """
     import torch
 
-    path = folder / TRANSFORMS
-    content = read_json(path, TEXT_BYTES)
-    cameras = {named.name: named.camera for named in read_named_cameras(path)}
-    exposures = {
-        frame["file_path"]: frame.get("exposure", 3 * [1.0]) for frame in content["frames"]
-    }
+    read = read_run_cameras(folder)
+    cameras = {named.name: named for named in read.cameras}
 
     def photos(names: Sequence[str], files: Sequence[str]) -> Iterator[Photo]:
         for name, file in zip(names, files, strict=True):
-            require(name in cameras, f"{path}: expected a camera of {name!r:.80}, got none")
+            require(
+                name in cameras,
+                f"{folder / TRANSFORMS}: expected a camera of {name!r:.80}, got none",
+            )
             if not is_file(folder / file):
                 continue
-            camera, image = cameras[name], _pixels(inside(folder, file))
+            camera, image = cameras[name].camera, _pixels(inside(folder, file))
             require(
                 image.shape[1:] == (camera.height, camera.width),
                 f"{folder / file}: expected {camera.width}x{camera.height} pixels as its camera has"
@@ -105,25 +102,12 @@ def read_photos(folder: Path) -> tuple[list[Photo], list[Photo]]:
                 camera,
                 image,
                 _pixels(inside(folder, mask))[0] if masked else None,
-                torch.tensor(_exposure(exposures[name], path)),
+                torch.tensor(cameras[name].exposure),
             )
 
-    train, test = (_names(content.get(f"{kind}_filenames", []), path) for kind in ("train", "test"))
-    shown = [f"{RENDERS}/{stem}_truth.png" for stem in file_stems(test)]
-    return [*photos(train, photo_files(train))], [*photos(test, shown)]
-
-
-def _names(value: Any, path: Path) -> list[str]:
-    fits = isinstance(value, list) and all(isinstance(name, str) for name in value)
-    require(fits, f"{path}: expected names of photos, got {str(value)[:80]!r}; run again")
-    return list(value)
-
-
-def _exposure(value: Any, path: Path) -> list[float]:
-    fits = isinstance(value, list) and len(value) == 3
-    fits = fits and all(type(factor) in (int, float) and 0 < factor < 1e9 for factor in value)
-    require(fits, f"{path}: expected an exposure of 3 positive numbers, got {str(value)[:80]!r}")
-    return [float(factor) for factor in value]
+    shown = [f"{RENDERS}/{stem}_truth.png" for stem in file_stems(read.test)]
+    training = photos(read.training, photo_files(read.training))
+    return [*training], [*photos(read.test, shown)]
 
 
 def _pixels(file: Path) -> Tensor:

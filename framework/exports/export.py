@@ -61,7 +61,8 @@ def main(arguments: list[str], prog: str) -> int:
     motion = upright(rig(cameras), away) if options.frame == "upright" else np.eye(4)
     if options.frame == "upright":
         cameras = [moved_camera(camera, motion) for camera in cameras]
-        moved = [replace(a, camera=b) for a, b in zip(run.cameras, cameras, strict=True)]
+        viewmats = [camera.viewmat.numpy() for camera in cameras]
+        moved = [replace(a, viewmat=b) for a, b in zip(run.cameras, viewmats, strict=True)]
         run = replace(run, gaussians=moved_gaussians(run.gaussians, motion), cameras=tuple(moved))
     # before the first is written, as a format may refuse the model
     files = {f"{NAME}{SUFFIXES[k]}": packed(run.gaussians, run.background, k) for k in kinds}

@@ -21,14 +21,13 @@ if TYPE_CHECKING:
     from framework.types import Camera, View
 
 CAMERAS, TRANSFORMS = "cameras.json", "transforms.json"
-NEAR = 0.01  # scene units; of runs that did not write theirs down
 
 
 def write_cameras(
     folder: Path,
     training: Sequence[View],
     test: Sequence[View],
-    near: float | None = None,
+    near: float,
     exposure: Callable[[Camera], list[float]] | None = None,
 ) -> None:
     """Write both files into `folder`.
@@ -45,12 +44,11 @@ def write_cameras(
         "val_filenames": [view.name for view in test],  # nerfstudio wants both
         "test_filenames": [view.name for view in test],
         "frames": [_frame(view) for view in [*training, *test]],
+        "near_plane": near,
     }
     if exposure is not None:
         for frame, view in zip(transforms["frames"], [*training, *test], strict=True):
             frame["exposure"] = exposure(view.camera)
-    if near is not None:
-        transforms["near_plane"] = near
     write_whole(folder / TRANSFORMS, json.dumps(transforms))
 
 

@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from framework.errors import printable_line
+from framework.exports.opened import NamedCamera
 from framework.files.pages import filled, policy_hash, script_json
-from framework.view.cameras import RunCamera, upward
 from framework.view.pack import Packed, packed
 from framework.view.photos import copies
 from framework.view.runs import ViewedRun
@@ -90,9 +92,16 @@ def _data(
         "runs": [_run(*each) for each in zip(runs, models, names, strict=True)],
         "cameras": [_camera(camera, runs, places) for camera in ordered],
         "photos": copies([files[name] for name in kept]),
-        "up": upward(ordered),
+        "up": _upward(ordered),
         "first": 0,
     }
+
+
+def _upward(cameras: Sequence[NamedCamera]) -> list[float]:
+    """[3] unit vector: the mean up direction of the cameras."""
+    total = sum((-camera.viewmat[1, :3] for camera in cameras), np.zeros(3))
+    length = float(np.linalg.norm(total))
+    return [0.0, -1.0, 0.0] if length < 1e-3 else [float(v) for v in total / length]
 
 
 def _run(run: ViewedRun, model: Packed, name: str) -> dict[str, Any]:
@@ -110,7 +119,9 @@ def _run(run: ViewedRun, model: Packed, name: str) -> dict[str, Any]:
     }
 
 
-def _camera(camera: RunCamera, runs: Sequence[ViewedRun], places: dict[str, int]) -> dict[str, Any]:
+def _camera(
+    camera: NamedCamera, runs: Sequence[ViewedRun], places: dict[str, int]
+) -> dict[str, Any]:
     lens = camera.lens
     exposures = [{c.name: c.exposure for c in run.cameras} for run in runs]
     return {

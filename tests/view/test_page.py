@@ -137,7 +137,7 @@ FORGED: dict[str, tuple[Callable[[Path], object], str]] = {
     "size": (_transforms(lambda t: t["frames"][0].update(w=1e9)), "expected sides of"),
     "dark": (
         _transforms(lambda t: t["frames"][0].update(exposure=[1, 0, 1])),
-        "3 positive numbers as exposure",
+        "an exposure of 3 positive numbers",
     ),
     "twice": (_transforms(lambda t: t["frames"].append(t["frames"][0])), "each photo once"),
     "near": (_transforms(lambda t: t.update(near_plane=-1)), "a positive near_plane"),
