@@ -44,6 +44,10 @@ class Entry:
     kind: str = ""
     again: str = ""
 
+    @property
+    def complete(self) -> bool:
+        return self.run.record.status == "complete"
+
 
 def archive(entries: Iterable[Entry]) -> str:
     """The text of an archive."""

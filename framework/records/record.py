@@ -45,6 +45,7 @@ from framework.records.failure import FAILED
 from framework.records.provenance import plain_json, provenance, strict_json
 from framework.records.record_check import check_record
 from framework.records.run_files import (
+    EMPTY,
     HISTORY_CSV,
     METRICS_CSV,
     RENDERS,
@@ -136,6 +137,18 @@ class RunRecord:
     status: str = "complete"
     error: str | None = None
 
+    @classmethod
+    def failed(
+        cls,
+        error: str,
+        config: Mapping[str, Any],
+        overrides: Sequence[str],
+        provenance: Mapping[str, Any],
+    ) -> RunRecord:
+        """The record of a run that ended with an error."""
+        words = tuple(overrides)
+        return cls("", config, words, None, {}, provenance, status="failed", error=error)
+
     @property
     def seed(self) -> int:
         """The config's seed."""
@@ -177,8 +190,8 @@ class Run:
 
     run_dir: Path
     record: RunRecord
-    metrics: Table
-    history: Table
+    metrics: Table = EMPTY
+    history: Table = EMPTY
 
 
 def write_run(
@@ -270,16 +283,7 @@ def write_failed(
     error = printable_line(" ".join(error.split()))
     content = {"error": error, "kind": kind, "overrides": list(overrides), "again": again}
     write_whole(run_dir / FAILED, strict_json(content, indent=2) + "\n")
-    record = RunRecord(
-        identity="",
-        config=config,
-        overrides=tuple(overrides),
-        scene=None,
-        timings={},
-        provenance=provenance(),
-        status="failed",
-        error=error,
-    )
+    record = RunRecord.failed(error, config, overrides, provenance())
     if not _is_complete(run_dir):
         write_record(run_dir, record)
     return record
@@ -316,7 +320,7 @@ def read_run(run_dir: Path) -> Run:
     """
     record = read_record(run_dir / RECORD)
     if record.status != "complete":
-        return Run(run_dir, record, Table({}, {}), Table({}, {}))
+        return Run(run_dir, record)
     try:
         metrics, history = (read_table(run_dir / name) for name in (METRICS_CSV, HISTORY_CSV))
     except UserError:

@@ -61,6 +61,9 @@ class Table:
     numbers: Mapping[str, np.ndarray]
 
 
+EMPTY = Table({}, {})
+
+
 @dataclass(frozen=True)
 class HistoryRow:
     """step: finished steps. seconds: wall time of training so far, without evaluation.

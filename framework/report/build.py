@@ -115,7 +115,7 @@ def _keep_other_archive(study: Study) -> None:
         return
     present = {folder.name for folder in run_dirs(study.out_dir)}
     present |= {run.run.run_dir.name for run in study.runs}
-    present |= {run.run_dir.name for run in study.failed}
+    present |= {run.run.run_dir.name for run in study.failed}
     archived = {entry.run.run_dir.name for entry in read_archive(study.out_dir)}
     lost = sorted(archived - present)
     require(

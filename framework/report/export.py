@@ -13,14 +13,12 @@ from tabulate import tabulate
 from framework.metrics.values import METRICS
 from framework.records.archive import Entry, archive
 from framework.records.provenance import NEUTRAL_KEYS
-from framework.records.record import Run, RunRecord
-from framework.records.run_files import Table
 from framework.report.provenance import code_of
 from framework.report.render import tex
 from framework.report.study.axes import VIEWS
 from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.plugins import with_defaults
-from framework.report.study.study import FailedRun, ReportRun, Study
+from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import flatten, outside
 from framework.report.tables import Result, heading_of
 
@@ -31,24 +29,8 @@ Results = Mapping[Method, Mapping[str, Result | None]]
 
 def runs_archive(study: Study) -> str:
     """All runs of the study, complete and failed, as `framework.records.archive` describes."""
-    failed = [run for run in study.failed if "seed" in run.config]  # others left no record
-    entries = [Entry(run.run) for run in study.runs]
-    return archive([*entries, *map(_failed_entry, failed)])
-
-
-def _failed_entry(run: FailedRun) -> Entry:
-    record = RunRecord(
-        identity="",
-        config=run.config,
-        overrides=run.overrides,
-        scene=None,
-        timings={},
-        provenance=run.provenance,
-        status="failed",
-        error=run.error,
-    )
-    empty = Table({}, {})
-    return Entry(Run(run.run_dir, record, empty, empty), run.kind, run.again)
+    failed = [run for run in study.failed if run.seed is not None]  # others left no record
+    return archive([*(Entry(run.run) for run in study.runs), *failed])
 
 
 def runs_csv(study: Study) -> str:

@@ -401,9 +401,9 @@ def failure_rows(study: Study) -> list[Row]:
     """Every failed run with its kind and reason, and the command that repeats it."""
     return [
         {
-            "Run": code(study.folder_of(run.run_dir)),
+            "Run": code(study.folder_of(run.run.run_dir)),
             "Kind": outside(run.kind),
-            "Reason": outside(run.error),
+            "Reason": outside(run.record.error or "unknown error"),
             "Again": "" if run.kind == DAMAGED else _again(run),
         }
         for run in study.failed
@@ -411,7 +411,7 @@ def failure_rows(study: Study) -> list[Row]:
 
 
 def _again(run: FailedRun) -> str:
-    return code(run.again or shlex.join(["python", "run.py", *run.overrides, "-m"]))
+    return code(run.again or shlex.join(["python", "run.py", *run.record.overrides, "-m"]))
 
 
 def missing_metrics(study: Study) -> list[tuple[str, int, str]]:

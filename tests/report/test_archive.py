@@ -33,7 +33,7 @@ def _figures(study: Path) -> list[tuple[object, ...]]:
         (r.scene, r.method, r.seed, r.mean("psnr"), r.record.gaussians, tuple(r.psnr.items()))
         for r in actual.runs
     ]
-    return [*runs, *((r.method, r.kind, r.error, r.again) for r in actual.failed)]
+    return [*runs, *((r.method, r.kind, r.record.error, r.again) for r in actual.failed)]
 
 
 def test_an_archive_holds_what_the_runs_hold(study: Path, tmp_path: Path) -> None:
