@@ -15,7 +15,6 @@ from framework.files.whole import make_folder, write_whole
 if TYPE_CHECKING:
     from framework.exports.opened import OpenedRun
     from framework.exports.rig import Array
-    from framework.types import Camera
 
 NAME = "scene"
 
@@ -53,6 +52,7 @@ def main(arguments: list[str], prog: str) -> int:
     from framework.exports.opened import open_run
     from framework.exports.rig import rig
     from framework.exports.upright import moved_camera, moved_gaussians, upright
+    from framework.records.cameras import write_cameras
     from framework.records.first_view import SETTINGS, settings
 
     run = open_run(options.run)
@@ -70,7 +70,7 @@ def main(arguments: list[str], prog: str) -> int:
     if options.compact:
         files[f"{NAME}{SUFFIXES['spz']}"], loss = _compact(run, motion)
     make_folder(folder)
-    _write_cameras(folder, [named.name for named in run.cameras], cameras, run.near)
+    write_cameras(folder, run.cameras, [], run.near)
     write_whole(folder / SETTINGS, settings(cameras, run.background.tolist(), away))
     for name, content in files.items():
         write_whole(folder / name, content)
@@ -130,19 +130,6 @@ def _kinds(asked: list[str]) -> list[str]:
         if not can_write(kind):
             print(f"export: without {kind}; pip install 'fishersplat[{kind}]' writes it too")
     return [kind for kind in SUFFIXES if can_write(kind)]
-
-
-def _write_cameras(folder: Path, names: list[str], cameras: list[Camera], near: float) -> None:
-    import torch
-
-    from framework.records.cameras import write_cameras
-    from framework.types import View
-
-    views = [
-        View(name, camera, torch.empty(3, 0, 0))
-        for name, camera in zip(names, cameras, strict=True)
-    ]
-    write_cameras(folder, views, [], near)
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:

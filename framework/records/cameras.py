@@ -13,20 +13,30 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from framework.files.whole import write_whole
 
 if TYPE_CHECKING:
-    from framework.types import Camera, View
+    from framework.types import Camera
 
 CAMERAS, TRANSFORMS = "cameras.json", "transforms.json"
 
 
+class Shot(Protocol):
+    """A view, or a camera with a name."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def camera(self) -> Camera: ...
+
+
 def write_cameras(
     folder: Path,
-    training: Sequence[View],
-    test: Sequence[View],
+    training: Sequence[Shot],
+    test: Sequence[Shot],
     near: float,
     exposure: Callable[[Camera], list[float]] | None = None,
 ) -> None:
@@ -52,7 +62,7 @@ def write_cameras(
     write_whole(folder / TRANSFORMS, json.dumps(transforms))
 
 
-def _listed(number: int, view: View) -> dict[str, Any]:
+def _listed(number: int, view: Shot) -> dict[str, Any]:
     """An entry of `cameras.json`."""
     camera = view.camera
     return {
@@ -67,7 +77,7 @@ def _listed(number: int, view: View) -> dict[str, Any]:
     }
 
 
-def _frame(view: View) -> dict[str, Any]:
+def _frame(view: Shot) -> dict[str, Any]:
     """An entry of `transforms.json`."""
     camera = view.camera
     to_world = camera.viewmat.inverse()

@@ -139,7 +139,7 @@ def _build(study: Study, title: str | None, photos: bool) -> Report:
     with ThreadPoolExecutor(1) as executor:  # photos are encoded while charts are drawn
         shots = executor.submit(gallery, study, visible)
         context = _context(findings, visible)
-        data = {**shots.result().data, "beside": False}
+        data = {**shots.result(), "beside": False}
     heading = outside(title or study.out_dir.resolve().name)
     page = Page(heading, study.out_dir, study.families, study.scenes, data)
     files = {

@@ -73,7 +73,7 @@ def compare_runs(first: Path, second: Path, out_dir: Path) -> tuple[Path, str]:
         "facts": _facts(study),
     }
     title = f"{other.method} compared with {one.method}"
-    data = {**gallery(study, same).data, "beside": True}
+    data = {**gallery(study, same), "beside": True}
     page = Page(title, out_dir, study.families, (), data)
     content = render_page("compare.jinja", page, **context)
     write_whole(out_dir / REPORT, render("compare.jinja", "markdown", page, **context))

@@ -1,9 +1,7 @@
-"""Pictures of a scene: a close-up of all methods, and maps of where the runs of one method differ.
+"""Pictures of a scene: a close-up of all methods.
 
 The close-up shows the median view by PSNR, not the one with the largest difference. The crop is the
-window with the largest variance over the methods, averaged over the window. A map shows the
-standard deviation (n - 1) over seeds of each pixel of the 8-bit renders. It is the root mean square
-over the channels, in units of the full range.
+window with the largest variance over the methods, averaged over the window.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from framework.report.figures.views import choose_views, image_file, picture, ps
 from framework.report.study.study import Study
 from framework.report.study.words import listed, outside
 
-KINDS = ("closeup", "sigma", "images")  # begin the names of pictures; older reports used all
+CLOSEUP = "closeup"  # begins the names of pictures
 SHARE = 4  # of the width and height that a crop takes: one part in so many
 FRAME = np.array([255, 215, 0], dtype=np.uint8)
 BESIDE = COLUMNS - 1  # methods in a row, after the ground truth
@@ -69,7 +67,7 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
         f" (mean absolute difference over the channels, black = 0, pale yellow = {ERROR_SCALE:g} or"
         " more)."
     )
-    name, buffer = f"{study.file_of('closeup', scene)}.jpg", io.BytesIO()
+    name, buffer = f"{study.file_of(CLOSEUP, scene)}.jpg", io.BytesIO()
     draw_band(band).save(buffer, format="JPEG", **JPEG)
     write_whole(study.out_dir / name, buffer.getvalue())
     return Picture((name,), f"All methods on {scene}", caption)
@@ -106,8 +104,7 @@ def _framed(picture: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
 
 def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
     """Remove the pictures of an earlier report, except those of these scenes."""
-    kept = {f"{study.file_of(kind, scene)}.jpg" for kind in KINDS for scene in scenes}
-    for kind in KINDS:
-        for path in study.out_dir.glob(f"{kind}_*.jpg"):
-            if path.name not in kept and not path.is_dir():
-                path.unlink()
+    kept = {f"{study.file_of(CLOSEUP, scene)}.jpg" for scene in scenes}
+    for path in study.out_dir.glob(f"{CLOSEUP}_*.jpg"):
+        if path.name not in kept and not path.is_dir():
+            path.unlink()
