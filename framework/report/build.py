@@ -15,7 +15,6 @@ from framework.report import literature, stress, tables
 from framework.report.export import (
     TABLE,
     results_files,
-    results_markdown,
     runs_archive,
     runs_csv,
 )
@@ -191,7 +190,6 @@ def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         missing.setdefault((scene, method), []).append(seed)
     return {
         "results": results,
-        "results_markdown": results_markdown(results) if results else "",
         "shown": shown,
         "hidden": [] if study.archived else hidden,
         "missing": missing,

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from framework.report.statistics.compare import Comparison, compare
-from framework.report.statistics.estimates import Spread, spread
+from framework.report.statistics.estimates import Estimate, estimate
 from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import by_pair
 from framework.report.study.methods import Method
@@ -36,7 +36,7 @@ class Entry:
     """
 
     method: Method
-    psnr: Spread
+    psnr: Estimate
     train_s: float
     gaussians: float
     megabytes: float
@@ -66,7 +66,7 @@ def entries(study: Study, scene: str) -> list[Entry]:
             continue
         size = float(np.mean([run.record.ply_bytes for run in runs])) / 1e6
         count = float(np.mean([run.record.gaussians for run in runs]))
-        rows.append(Entry(method, spread(psnr), seconds, count, size, (*runs,)))
+        rows.append(Entry(method, estimate(psnr), seconds, count, size, (*runs,)))
     most = max(rows, key=lambda entry: entry.psnr.n, default=None)
     return [replace(entry, gain=above(entry, most)) for entry in rows] if most else []
 

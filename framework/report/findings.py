@@ -6,16 +6,17 @@ charts draw: corrected for all comparisons of the report.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
 from framework.report import stress
 from framework.report.costs import Cheapest, Choice, cheapest, choices, one_machine
 from framework.report.statistics.compare import Comparison, compare, corrected
-from framework.report.statistics.estimates import Interval, Spread
+from framework.report.statistics.estimates import Estimate, Interval
 from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import Outcomes, by_pair, outcomes
 from framework.report.statistics.variance import SigmaComparison
@@ -25,6 +26,7 @@ from framework.report.study.scenes import CHOSE, HELPED, TESTS, YOURS, role
 from framework.report.study.study import ReportRun, Study
 
 ACTED, ENOUGH = "acted_share", 0.5  # of a method's dose; a smaller share was hardly tested
+T = TypeVar("T")
 METHOD_WORDS = ("method", "augment", "reg", "seed", "study")
 
 
@@ -44,7 +46,7 @@ class Verdict:
     method: Method = PLAIN
     comparison: Comparison | None = None
     others: tuple[Method, ...] = ()
-    spread: Spread | None = None
+    spread: Estimate | None = None
 
 
 @dataclass(frozen=True)
@@ -138,18 +140,17 @@ class Findings:
     @cached_property
     def choices(self) -> dict[str, list[Choice]]:
         """Scene -> which configuration to take for a given time."""
-        if self.panels:
-            return {}
-        by_scene = {scene: choices(self.study, scene) for scene in self.study.tested}
-        return {scene: answer for scene, answer in by_scene.items() if answer}
+        return self._of_scenes(choices)
 
     @cached_property
     def cheapest(self) -> dict[str, Cheapest]:
         """Scene -> the cheapest configurations that are as good as the best."""
-        if self.panels:
-            return {}
-        by_scene = {scene: cheapest(self.study, scene) for scene in self.study.tested}
-        return {scene: answer for scene, answer in by_scene.items() if answer}
+        return self._of_scenes(cheapest)
+
+    def _of_scenes(self, answer: Callable[[Study, str], T | None]) -> dict[str, T]:
+        scenes = [] if self.panels else self.study.tested
+        answers = {scene: answer(self.study, scene) for scene in scenes}
+        return {scene: value for scene, value in answers.items() if value}
 
     @property
     def advised_budgets(self) -> list[Choice]:

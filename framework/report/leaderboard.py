@@ -7,8 +7,6 @@ significantly worse, or neither, each with the interval of that report.
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,7 +38,7 @@ from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.collect import collect, holds_run, walked
 from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.study import Study
-from framework.report.study.words import natural, outside
+from framework.report.study.words import csv_text, natural, outside
 from framework.report.tables import Link
 from framework.report.tables import Row as Cells
 from framework.scenes import HELD_OUT
@@ -48,6 +46,7 @@ from framework.scenes import HELD_OUT
 REPORT, TABLE = "leaderboard.md", "leaderboard.csv"
 COMMITTED = ROOT / "reports" / "committed"  # the repository's own studies
 MOST_ROWS = 80
+COLUMNS = ("study", "method", "against", "scenes", "seeds", "difference_db", "low", "high", "p")
 RESULTS = {1: "better", 0: "", -1: "worse"}
 
 
@@ -281,8 +280,7 @@ def _forest(matches: Sequence[Match], families: Sequence[Method], out_dir: Path)
                 f"{match.entry.name}{budget}",
                 numbers[match.family.label],
                 c.difference,
-                match.joint.low,
-                match.joint.high,
+                match.joint,
                 joint=True,
                 significant=c.significant,
                 method_index=families.index(match.family),
@@ -311,16 +309,13 @@ def _row(match: Match) -> Cells:
 
 def _csv(matches: Sequence[Match]) -> str:
     """Every comparison in full digits."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    names = ("study", "method", "against", "scenes", "seeds", "difference_db", "low", "high", "p")
-    writer.writerow(names)
+    rows = []
     for match in matches:
-        c = match.comparison
-        scenes = _n_scenes(match.entry.study, c.scenes)
+        c, scenes = match.comparison, _n_scenes(match.entry.study, match.comparison.scenes)
         labels = (match.entry.name, c.method.label, c.baseline.label, scenes, c.n)
-        writer.writerow([*labels, c.difference, match.joint.low, match.joint.high, match.p])
-    return buffer.getvalue()
+        values = (*labels, c.difference, match.joint.low, match.joint.high, match.p)
+        rows.append(dict(zip(COLUMNS, values, strict=True)))
+    return csv_text(rows, COLUMNS)
 
 
 def main(arguments: list[str], prog: str) -> int:

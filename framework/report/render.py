@@ -29,7 +29,7 @@ from framework.report.statistics import numbers
 from framework.report.study.methods import Method
 from framework.report.study.scenes import MARK
 from framework.report.study.words import code, joined, listed, outside
-from framework.report.tables import Cell, Link, Row
+from framework.report.tables import Cell, Link, Result, Row
 from framework.scenes.images import read_image
 
 HOME = Path(__file__).parent
@@ -42,6 +42,7 @@ LEFT = {  # headings of columns of words
     *("Run", "Kind", "Reason", "Again", "Option", "Options", "What", "Recipe"),
     *("Study", "Use", "Why", "Result"),
 }
+MARKS = ("{}", "**{}**", "<u>{}</u>")  # by rank, in Markdown
 TEX = {
     **{character: f"\\{character}" for character in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
@@ -180,7 +181,7 @@ def templates() -> Environment:
     """
     env = _environment(autoescape=lambda name: bool(name) and "html.jinja" in str(name))
     env.filters |= {"html_prose": _html_prose, "markdown_prose": _markdown_prose}
-    env.filters |= {"cell": _html_cell, "pipe_table": _pipe_table, "columns": columns}
+    env.filters |= {"cell": _html_cell, "pipe_table": pipe_table, "columns": columns}
     env.filters |= {"listed": listed, "joined": joined, "outside": outside, "code": code}
     env.filters |= {
         name.removeprefix("format_"): getattr(numbers, name)
@@ -254,7 +255,8 @@ def _html_cell(cell: Cell) -> Markup:
     return _html_prose(str(cell).replace(" ± ", "\u00a0±\u00a0"))
 
 
-def _pipe_table(rows: Sequence[Row]) -> str:
+def pipe_table(rows: Sequence[Row]) -> str:
+    """The Markdown of a table; the best result of a column is bold, the second underlined."""
     names = columns(rows)
     cells = [[_pipe_cell(row.get(name, "")) for name in names] for row in rows]
     align = ["left" if name in LEFT else "right" for name in names]
@@ -265,6 +267,8 @@ def _pipe_table(rows: Sequence[Row]) -> str:
 def _pipe_cell(cell: Cell) -> str:
     if isinstance(cell, Link):
         return f"[{_markdown_prose(cell.text)}]({cell.target})"
+    if isinstance(cell, Result):
+        return str(cell).replace(cell.text, MARKS[cell.rank].format(cell.text), 1)
     return _markdown_prose(cell).replace("|", "\\|")
 
 
