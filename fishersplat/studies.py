@@ -1,7 +1,5 @@
 """Read the runs of a study and compare its methods."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

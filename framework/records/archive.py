@@ -8,8 +8,6 @@ number is null. `kind` and `again` are of a failed run: the kind of error and th
 repeats it. The file holds all that a report needs but the pictures.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

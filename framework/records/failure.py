@@ -1,7 +1,5 @@
 """`failed.json` of a run whose last attempt failed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Library code only logs (`logging.getLogger(__name__)`) and does not depend on `P
 handler Python would drop its INFO records.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -9,8 +9,6 @@ Speed is the mean over the last seconds, so that compilation and the coarse phas
 the time left. Nothing here touches training: a run is the same with any `Progress`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -5,8 +5,6 @@ Texts are whole and of bounded length already (`framework.files.documents`). Num
 enough for the report's sums of squares to be finite.
 """
 
-from __future__ import annotations
-
 import re
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence

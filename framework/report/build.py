@@ -1,7 +1,5 @@
 """From the folders of one or more studies to a report: load, compare, find, render."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace

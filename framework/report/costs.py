@@ -7,8 +7,6 @@ its cost* if it is the cheapest of the front, or significantly better than the l
 is (paired t test, corrected for all others of the scene).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,8 +1,6 @@
 """For further use: `runs.csv`, one row per complete run; `runs.jsonl`, the archive; and the table
 for a paper, `results` as LaTeX (package booktabs), Markdown and CSV."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ A difference is claimed where its interval excludes zero, and the interval is th
 charts draw: corrected for all comparisons of the report.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

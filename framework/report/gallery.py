@@ -7,8 +7,6 @@ Error maps are mostly noise, so `LONGEST_ERROR` applies to them. Every number of
 computed from the originals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -5,8 +5,6 @@ Instead, every method is compared with the baseline of the same study: significa
 significantly worse, or neither, each with the interval of that report.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

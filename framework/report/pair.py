@@ -4,8 +4,6 @@ Which options differ, what every test view gained, where the pictures differ, an
 training time. Two single runs cannot distinguish a method from chance; a study with seeds does.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence

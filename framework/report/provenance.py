@@ -1,7 +1,5 @@
 """Where a report's numbers come from: code, packages, machine, scenes, commands, time, papers."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ rest, so a name from outside cannot become markup. The page's content security p
 script and style by their hashes and nothing from elsewhere.
 """
 
-from __future__ import annotations
-
 import base64
 import functools
 import io

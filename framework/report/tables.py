@@ -4,8 +4,6 @@ A missing value is `–`; "Missing metrics" lists the reason. A mean carries ± 
 95 % interval. Cells of a method hold the method, for the page's filter.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence

@@ -4,8 +4,6 @@ Points show 95 % confidence intervals where there are any. An axis of PSNR spans
 `min_span`, so that noise does not look like a difference. Files hold neither a date nor random ids.
 """
 
-from __future__ import annotations
-
 import io
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The charts of a report: PSNR over training time, against cost, and along a stress."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ A thick bar is an interval that holds for all comparisons of the report at once,
 to its row alone. A mark is filled where a thick bar excludes zero: a significant difference.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ The close-up shows the median view by PSNR, not the one with the largest differe
 window with the largest variance over the methods, averaged over the window.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which runs and test views a report shows pictures of, and their image files."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

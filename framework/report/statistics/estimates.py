@@ -8,8 +8,6 @@ Several comparisons are corrected together (Bonferroni). Their intervals hold jo
 one excludes zero exactly if p times their number is below 5 %.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

@@ -1,8 +1,6 @@
 """Numbers as text, with as many digits as their uncertainty supports: it is shown with two
 significant digits, and the number to the same decimal place."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -3,8 +3,6 @@
 Over several scenes, a seed's PSNR is the mean over the scenes, for seeds that finished on all.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace

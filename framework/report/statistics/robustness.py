@@ -6,8 +6,6 @@ its last evaluation is at least `FAILURE_DB` below its best. It also fails if it
 rate is Wilson's (1927).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

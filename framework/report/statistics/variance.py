@@ -24,8 +24,6 @@ deviations. The draws are fixed, so the same question has the same answer everyw
   rho^2 q^2) for a ratio q and pairs correlated by rho.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Mapping

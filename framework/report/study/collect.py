@@ -1,7 +1,5 @@
 """Read the runs of one or more studies, with the method and the scene of each."""
 
-from __future__ import annotations
-
 import os
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence

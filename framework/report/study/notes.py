@@ -1,8 +1,6 @@
 """Facts that a reader must know about the runs of a study before trusting the numbers; the template
 `notes.jinja` words them."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections import defaultdict

@@ -4,8 +4,6 @@ A record says nothing about an option that was added after the run: the option's
 the value in `BEFORE`, where new options changed what happens by default.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import re

@@ -1,7 +1,5 @@
 """Texts from records and options, made safe to show; lists of names."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
