@@ -26,8 +26,7 @@ from framework.files.opened import is_file
 from framework.files.paths import inside
 from framework.metrics.evaluate import psnr
 from framework.records.cameras import TRANSFORMS
-from framework.records.photos import photo_files
-from framework.records.run_files import RENDERS, file_stems
+from framework.records.run_files import RENDERS, file_stems, photo_files
 from framework.records.spz import unpacked
 from framework.scenes.images import read_image
 

@@ -13,8 +13,8 @@ from framework.exports.formats import SUFFIXES, can_write, check_writer, packed
 from framework.files.whole import make_folder, write_whole
 
 if TYPE_CHECKING:
+    from framework.exports.flight import Array
     from framework.exports.opened import OpenedRun
-    from framework.exports.rig import Array
 
 NAME = "scene"
 
@@ -48,9 +48,8 @@ def main(arguments: list[str], prog: str) -> int:
     _check_no_cameras_of_others(folder)
     import numpy as np
 
-    from framework.exports.flight import distance, lens_of
+    from framework.exports.flight import distance, lens_of, rig
     from framework.exports.opened import open_run
-    from framework.exports.rig import rig
     from framework.exports.upright import moved_camera, moved_gaussians, upright
     from framework.records.cameras import write_cameras
     from framework.records.first_view import SETTINGS, settings

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from framework.exports.flight import looking
-from framework.exports.rig import Array, Rig, unit
+from framework.exports.flight import Array, Rig, looking, unit
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -9,7 +9,7 @@ a folder with a complete record is complete.
     point_cloud.ply    the trained Gaussians, see `framework.records.ply`
     cameras.json       its cameras, for viewers; so is transforms.json (`framework.records.cameras`)
     settings.json      a first view and the background (`framework.records.first_view`)
-    photos/            <view>.jpg of the training views (`framework.records.photos`)
+    photos/            <view>.jpg of the training views (`framework.records.run_files`)
     renders/           <view>.png, <view>_truth.png, <view>_error.png (and <view>_mask.png)
 
 The error map is the absolute difference of the two 8-bit images, mean over channels, in the colour
@@ -41,9 +41,8 @@ from framework.files.paths import inside
 from framework.files.whole import Written, difference, following, write_whole
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
-from framework.records.failure import FAILED
 from framework.records.provenance import plain_json, provenance, strict_json
-from framework.records.record_check import check_record
+from framework.records.record_check import check_failure, check_record
 from framework.records.run_files import (
     EMPTY,
     HISTORY_CSV,
@@ -426,3 +425,37 @@ def record_of(content: dict[str, Any]) -> RunRecord:
             },
         }
     )
+
+
+FAILED = "failed.json"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A failed run.
+
+    Attributes:
+        error: one line.
+        kind: a word or two.
+        again: the command that repeats the run; "" if unknown.
+    """
+
+    error: str
+    kind: str
+    overrides: tuple[str, ...]
+    again: str
+
+
+def read_failure(run_dir: Path) -> Failure:
+    """Raises UserError when the file is missing or damaged."""
+    path = run_dir / FAILED
+    content = read_json(path, RUN_BYTES)
+    try:
+        check_failure(content)
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(
+            f"{path}: expected the error of a failed run, got a damaged file"
+            f" ({type(error).__name__}: {error}); delete that folder and run again"
+        ) from error
+    overrides = tuple(content["overrides"])
+    return Failure(content["error"], content["kind"], overrides, content["again"])

@@ -223,3 +223,28 @@ def _csv(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     writer.writerow(columns)
     writer.writerows(rows)
     return buffer.getvalue()
+
+
+PHOTOS = "photos"
+QUALITY = 90
+
+
+def photo_files(names: Sequence[str]) -> list[str]:
+    """Where the photos of the training views `names`, in the order of a run's record, lie in its
+    folder."""
+    return [f"{PHOTOS}/{stem}.jpg" for stem in file_stems(names)]
+
+
+def write_photos(run_dir: Path, training: Sequence[View]) -> None:
+    """Write them."""
+    files = [run_dir / name for name in photo_files([view.name for view in training])]
+    pairs = zip(files, training, strict=True)
+    run_tasks([functools.partial(_write, file, view) for file, view in pairs])
+
+
+def _write(file: Path, view: View) -> None:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(quantise(view.image)).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
+    write_whole(file, buffer.getvalue())

@@ -4,7 +4,9 @@ As in reports, texts from outside are escaped and data is JSON without `<`. The 
 policy allows only the page's own script and style, by their hashes.
 """
 
+import base64
 import html
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,8 +16,8 @@ import numpy as np
 from framework.errors import printable_line
 from framework.exports.opened import NamedCamera
 from framework.files.pages import filled, policy_hash, script_json
+from framework.scenes.images import read_image
 from framework.view.pack import Packed, packed
-from framework.view.photos import copies
 from framework.view.runs import ViewedRun
 
 ASSETS = Path(__file__).parent / "assets"
@@ -139,3 +141,34 @@ def _camera(
 
 def _asset(name: str) -> str:
     return (ASSETS / name).read_text(encoding="utf-8")
+
+
+BYTES = 4_000_000  # of all photos of a page, about, before base64
+LONGEST, SHORTEST = 1280, 320  # pixels of a copy's longer side: at most; however many there are
+QUALITY, EFFORT = 82, 4
+BYTES_PER_PIXEL = 0.2  # of a WebP copy of this quality, rather too much
+
+
+def copies(files: Sequence[Path]) -> list[str]:
+    """Data URIs.
+
+    Raises:
+        UserError: for a file that is no image.
+    """
+    return [_copy(file, _longest(len(files))) for file in files]
+
+
+def _longest(count: int) -> int:
+    """Pixels of the longer side, so that `count` copies keep to the budget."""
+    pixels = BYTES / max(1, count) / BYTES_PER_PIXEL
+    return int(min(LONGEST, max(SHORTEST, (pixels * 4 / 3) ** 0.5)))
+
+
+def _copy(file: Path, longest: int) -> str:
+    from PIL import Image
+
+    image = Image.fromarray(read_image(file))
+    image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    image.save(buffer, "WEBP", quality=QUALITY, method=EFFORT)
+    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -12,10 +12,9 @@ from framework.exports.opened import NamedCamera, read_run_cameras
 from framework.files.opened import is_file
 from framework.files.paths import inside
 from framework.records import RUN_FOLDERS
-from framework.records.photos import photo_files
 from framework.records.ply import Splats, read_splats
 from framework.records.record import PLY, RECORD, RunRecord, read_run
-from framework.records.run_files import RENDERS
+from framework.records.run_files import RENDERS, photo_files
 from framework.records.spz import read_spz
 
 FEW = 6  # runs that a message names

@@ -10,9 +10,9 @@ import torch
 
 from framework.errors import UserError
 from framework.exports.export import main
+from framework.exports.flight import rig
 from framework.exports.formats import SUFFIXES, packed
 from framework.exports.opened import open_run, read_named_cameras
-from framework.exports.rig import rig
 from framework.exports.upright import moved_camera, turned_bands, upright
 from framework.kernels import rasterize
 from framework.kernels.reference import sh_basis

@@ -12,8 +12,7 @@ from framework.files.limits import RUNS
 from framework.metrics.values import Missing
 from framework.records import RUN_FOLDERS
 from framework.records.archive import Entry, has_archive, read_archive
-from framework.records.failure import FAILED, read_failure
-from framework.records.record import LEARNED, RECORD, Run, RunRecord, read_run
+from framework.records.record import FAILED, LEARNED, RECORD, Run, RunRecord, read_failure, read_run
 from framework.records.search import read_search
 from framework.report.study.methods import Method, name_methods
 from framework.report.study.scenes import scene_labels

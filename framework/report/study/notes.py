@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from framework.errors import UserError, printable_line
-from framework.records.failure import FAILED, read_failure
-from framework.records.record import EXPOSURE, LEARNED
+from framework.records.record import EXPOSURE, FAILED, LEARNED, read_failure
 from framework.report.study.methods import Method
 from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import code, outside
