@@ -13,7 +13,7 @@ whole photos.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -148,36 +148,20 @@ def compact(run: OpenedRun, photos: Sequence[Photo]) -> Compact:
         return best
     photos = photos[:: -(-len(photos) // MOST_PHOTOS)]
     goal = mean_psnr(run, gaussians, photos) - LIMIT_DB
-    for coarser in (_less_degree, _less_bits, _less_fraction):
-        while trial := coarser(best.precision):
-            tried = written(trial)
-            if not mean_psnr(run, tried.gaussians, photos) >= goal:
+    for name, least in (("degree", 0), ("bits", FEWEST_BITS), ("fraction", LEAST_FRACTION)):
+        while (value := getattr(best.precision, name)) > least:
+            if name == "bits" and best.precision.degree == 0:
                 break
-            best = tried
+            trial = written(replace(best.precision, **{name: value - 1}))
+            if not mean_psnr(run, trial.gaussians, photos) >= goal:
+                break
+            best = trial
     return best
-
-
-def _less_degree(of: Precision) -> Precision | None:
-    return replace(of, degree=of.degree - 1) if of.degree > 0 else None
-
-
-def _less_bits(of: Precision) -> Precision | None:
-    return replace(of, bits=of.bits - 1) if of.degree > 0 and of.bits > FEWEST_BITS else None
-
-
-def _less_fraction(of: Precision) -> Precision | None:
-    return replace(of, fraction=of.fraction - 1) if of.fraction > LEAST_FRACTION else None
 
 
 def decoded(content: bytes) -> Gaussians:
     """The Gaussians of an SPZ file."""
-    import torch
-
-    from framework.types import Gaussians
-
-    splats = unpacked(content, "the written file")
-    arrays = {f.name: getattr(splats, f.name) for f in fields(splats) if f.name != "background"}
-    return Gaussians(**{name: torch.from_numpy(array) for name, array in arrays.items()})
+    return unpacked(content, "the written file").gaussians()
 
 
 def _sorted(gaussians: Gaussians) -> Gaussians:

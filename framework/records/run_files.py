@@ -103,24 +103,33 @@ def metrics_csv(metrics: Sequence[ViewMetrics], stems: Sequence[str]) -> str:
     for entry, stem in zip(metrics, stems, strict=True):
         values = {name: entry.value(name) for name in (*METRICS, *entry.also)}
         reasons = {k: v.reason for k, v in values.items() if isinstance(v, Missing)}
-        numbers = [None if isinstance(v, Missing) else v for v in values.values()]
-        explained = json.dumps(reasons) if reasons else None
-        main_metrics, others = numbers[: len(METRICS)], numbers[len(METRICS) :]
-        cells = [entry.view, " ".join(entry.tags), *main_metrics, entry.render_s, stem, explained]
-        rows.append([*cells, *others])
+        row: dict[str, object] = {k: v for k, v in values.items() if k not in reasons}
+        row |= {"view": entry.view, "tags": " ".join(entry.tags), "render_s": entry.render_s}
+        row |= {"file": stem, "missing": json.dumps(reasons) if reasons else ""}
+        rows.append(row)
     also = metrics[0].also if metrics else {}
-    return _csv([*METRIC_COLUMNS, *also], rows)
+    return csv_text(rows, [*METRIC_COLUMNS, *also])
 
 
 def history_csv(history: Sequence[HistoryRow]) -> str:
     """One row per logged step; logged names become columns, sorted."""
-    names = sorted({name for row in history for name in row.logged})
-    rows = [
-        [_finite(getattr(row, column)) for column in HISTORY_COLUMNS]
-        + [_finite(row.logged.get(name)) for name in names]
-        for row in history
-    ]
-    return _csv([*HISTORY_COLUMNS, *(f"{LOGGED}{name}" for name in names)], rows)
+    names = sorted({f"{LOGGED}{name}" for row in history for name in row.logged})
+    rows = []
+    for row in history:
+        cells = {column: _finite(getattr(row, column)) for column in HISTORY_COLUMNS}
+        logged = {f"{LOGGED}{name}": _finite(value) for name, value in row.logged.items()}
+        rows.append({**cells, **logged})
+    return csv_text(rows, [*HISTORY_COLUMNS, *names])
+
+
+def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> str:
+    """A table of these columns, by default those of the first row."""
+    buffer = io.StringIO()
+    names = columns or list(rows[0])
+    writer = csv.DictWriter(buffer, names, lineterminator="\n", extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows(rows)
+    return buffer.getvalue()
 
 
 def read_table(path: Path) -> Table:
@@ -214,14 +223,6 @@ def _png(pixels: np.ndarray) -> bytes:
     buffer = io.BytesIO()
     # level 1 takes a third of the time of the default 6, for 4 % more bytes
     Image.fromarray(pixels).save(buffer, format="PNG", compress_level=1)
-    return buffer.getvalue()
-
-
-def _csv(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
     return buffer.getvalue()
 
 

@@ -9,6 +9,7 @@ is (paired t test, corrected for all others of the scene).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from framework.report.study.study import ReportRun, Study
 SAME_COST = 0.02  # costs that differ by a smaller share count as equal
 AS_GOOD_DB = 0.1  # a mean at most this far below the best counts as good
 LIMITS_S = (15.0, 60.0, 300.0)
+train_s, gaussians, megabytes = map(attrgetter, ("train_s", "gaussians", "megabytes"))
+_gain = attrgetter("gain")
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,22 +119,6 @@ def paying(options: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int
         if better(options[k], options[kept[-1]], len(options) - 1):
             kept.append(k)
     return kept
-
-
-def train_s(entry: Entry) -> float:
-    return entry.train_s
-
-
-def gaussians(entry: Entry) -> float:
-    return entry.gaussians
-
-
-def megabytes(entry: Entry) -> float:
-    return entry.megabytes
-
-
-def _gain(entry: Entry) -> float:
-    return entry.gain
 
 
 def differs(costs: Sequence[float]) -> bool:

@@ -7,13 +7,14 @@ from typing import Any
 from framework.metrics.values import METRICS
 from framework.records.archive import Entry, archive
 from framework.records.provenance import NEUTRAL_KEYS
+from framework.records.run_files import csv_text
 from framework.report.provenance import code_of
 from framework.report.render import pipe_table, tex
 from framework.report.study.axes import VIEWS
 from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.plugins import with_defaults
 from framework.report.study.study import ReportRun, Study
-from framework.report.study.words import csv_text, flatten, outside
+from framework.report.study.words import flatten, outside
 from framework.report.tables import Result, heading_of, results_rows
 
 TABLE, RESULTS = "runs.csv", "results"

@@ -18,6 +18,7 @@ from framework.files.whole import make_folder, write_whole
 from framework.records import RUN_FOLDERS
 from framework.records.archive import ARCHIVE
 from framework.records.provenance import ROOT
+from framework.records.run_files import csv_text
 from framework.report.figures.chart import Picture
 from framework.report.figures.forest import Forest, Row, forest_picture
 from framework.report.figures.palette import looks
@@ -36,7 +37,7 @@ from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.collect import collect, holds_run, walked
 from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.study import Study
-from framework.report.study.words import csv_text, natural, outside
+from framework.report.study.words import natural, outside
 from framework.report.tables import Link
 from framework.report.tables import Row as Cells
 from framework.scenes import HELD_OUT

@@ -21,8 +21,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from framework.files.whole import write_whole
+from framework.records.run_files import csv_text
 from framework.report.figures.palette import LIGHT, Look, look_of
-from framework.report.study.words import csv_text
 
 MIN_SPAN_DB = 1.0  # of an axis of PSNR or of its differences
 STYLE: Any = {

@@ -1,7 +1,5 @@
 """Texts from records and options, made safe to show; lists of names."""
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -36,16 +34,6 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{key}"] = value
     return flat
-
-
-def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> str:
-    """A table of these columns, by default those of the first row."""
-    buffer = io.StringIO()
-    names = columns or list(rows[0])
-    writer = csv.DictWriter(buffer, names, lineterminator="\n", extrasaction="ignore")
-    writer.writeheader()
-    writer.writerows(rows)
-    return buffer.getvalue()
 
 
 def listed(items: Sequence[object], word: str = "and") -> str:
