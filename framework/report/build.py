@@ -24,7 +24,7 @@ from framework.report.figures.views import own_scenes
 from framework.report.findings import Findings, cost_of, find, largest_effect
 from framework.report.gallery import gallery
 from framework.report.provenance import provenance
-from framework.report.render import Page, render, render_page, say
+from framework.report.render import Page, publish, say
 from framework.report.study import notes
 from framework.report.study.collect import collect, run_dirs
 from framework.report.study.methods import learned_footnote
@@ -32,7 +32,7 @@ from framework.report.study.published import bibtex
 from framework.report.study.study import Study
 from framework.report.study.words import outside
 
-REPORT, PAGE = "report.md", "report.html"
+REPORT = "report.md"
 MOST_NAMED = 8  # differences that are not significant, in the verdict
 
 
@@ -139,14 +139,11 @@ def _build(study: Study, title: str | None, photos: bool) -> Report:
         data = {**shots.result(), "beside": False}
     heading = outside(title or study.out_dir.resolve().name)
     page = Page(heading, study.out_dir, study.families, study.scenes, data)
-    files = {
-        PAGE: render_page("report.jinja", page, **context),
-        REPORT: render("report.jinja", "markdown", page, **context),
-        ARCHIVE: runs_archive(study),
-    }
+    files = {ARCHIVE: runs_archive(study)}
     if study.runs:
         files[TABLE] = runs_csv(study)
         files |= results_files(context["results"]) if context["results"] else {}
+    publish("report.jinja", study.out_dir / REPORT, page, context)
     for name, content in files.items():
         write_whole(study.out_dir / name, content)
     macro = "stress_verdict" if findings.panels else "verdict"

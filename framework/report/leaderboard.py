@@ -23,7 +23,7 @@ from framework.report.figures.chart import Picture
 from framework.report.figures.forest import Forest, Row, forest_picture
 from framework.report.figures.palette import looks
 from framework.report.main import BASELINE_HELP, tell
-from framework.report.render import Page, render, render_page, say
+from framework.report.render import Page, publish, say
 from framework.report.statistics.compare import Comparison
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import (
@@ -122,9 +122,7 @@ def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int
         "footnote": learned_footnote(_methods(entries)),
     }
     page = Page("Leaderboard", out_dir, families, (), {})
-    content = render_page("leaderboard.jinja", page, **context)
-    write_whole((out_dir / REPORT).with_suffix(".html"), content)
-    write_whole(out_dir / REPORT, render("leaderboard.jinja", "markdown", page, **context))
+    publish("leaderboard.jinja", out_dir / REPORT, page, context)
     write_whole(out_dir / TABLE, _csv(matches))
     return out_dir / REPORT, len(entries), say("leaderboard_verdict", **context)
 

@@ -22,6 +22,7 @@ from PIL import Image
 from tabulate import tabulate
 
 from framework.files.pages import policy_hash, script_json
+from framework.files.whole import write_whole
 from framework.report.figures.palette import DARK, LIGHT
 from framework.report.statistics import numbers
 from framework.report.study.methods import Method
@@ -122,6 +123,14 @@ def webp_bytes(pixels: Any, longest: int | None) -> bytes:
 
 def data_uri(content: bytes, kind: str = "image/webp") -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def publish(template: str, report: Path, page: Page, context: Mapping[str, Any]) -> None:
+    """Write a report as Markdown, and as a page beside it."""
+    whole = render_page(template, page, **context)
+    text = render(template, "markdown", page, **context)
+    write_whole(report.with_suffix(".html"), whole)
+    write_whole(report, text)
 
 
 def render(template: str, kind: str, page: Page, **context: Any) -> str:

@@ -19,9 +19,10 @@ from framework.command.config.schema import ROOT
 from framework.errors import UserError
 from framework.exports.export import main as export
 from framework.records.ply import read_splats, write_ply
-from framework.view import check_together, read_exported, read_viewed, view_page
 from framework.view.main import main
 from framework.view.pack import packed
+from framework.view.page import view_page
+from framework.view.runs import check_together, read_exported, read_viewed
 from tests.view.runs import NEAR, scene_gaussians, seen_run, views
 
 HOSTILE = '<img src=x onerror=alert(1)>"</script><script>alert(2)</script>'
