@@ -21,7 +21,7 @@ from framework.report.figures.charts import cost_charts, curves, has_members, st
 from framework.report.figures.forest import forest_of, forest_picture
 from framework.report.figures.pictures import draw_closeup, remove_pictures
 from framework.report.figures.views import own_scenes
-from framework.report.findings import Findings, cost_of, find, largest_effect
+from framework.report.findings import Findings, find, largest_effect
 from framework.report.gallery import gallery
 from framework.report.provenance import provenance
 from framework.report.render import Page, publish, say
@@ -161,7 +161,6 @@ def _context(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "learned_footnote": learned_footnote,
         "largest_effect": largest_effect,
         "capacity_text": tables.capacity_text,
-        "cost_of": cost_of,
         "heading_of": tables.heading_of,
         "MOST_NAMED": MOST_NAMED,
         "literature": literature,

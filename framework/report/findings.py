@@ -48,17 +48,6 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Cost:
-    """What the trainings of a method took, means over its runs; None if a run lacks the time."""
-
-    method: Method
-    wall_s: float | None
-    cpu_s: float | None
-    gaussians: float
-    parameters: float
-
-
-@dataclass(frozen=True)
 class Contest:
     """A capacity compared with another one of the same method.
 
@@ -163,9 +152,9 @@ class Findings:
         return self.study.has_budgets and any(one_machine(self.study, s) for s in scenes)
 
     @cached_property
-    def costs(self) -> list[Cost]:
-        """Costs of the advised method and of its baseline, or of the best other method. With
-        several budgets these are the cheapest and the most expensive.
+    def costed(self) -> list[Method]:
+        """The methods to name the costs of: the advised one and its baseline, or the best other
+        one. With several budgets these are the cheapest and the most expensive.
         """
         result = self.outcomes
         if not result.psnr:
@@ -174,13 +163,14 @@ class Findings:
         methods = [best, self.study.baseline_of(best)]
         if self.study.has_budgets:
             family = [m for m in result.psnr if m.family == best.family]
-            costs = [cost_of(m, self.study.of(method=m)) for m in family]
-            measured = sorted((c for c in costs if c.cpu_s), key=lambda cost: cost.cpu_s or 0.0)
+            runs = {m: self.study.of(method=m) for m in family}
+            cpu_s = {m: average([run.record.train_cpu_s for run in runs[m]]) for m in family}
+            measured = sorted((m for m in family if cpu_s[m]), key=lambda m: cpu_s[m] or 0.0)
             return list(dict.fromkeys([measured[0], measured[-1]])) if measured else []
         if methods[0] == methods[1] and result.comparisons:
             comparisons = result.comparisons
             methods[1] = max(comparisons, key=lambda m: comparisons[m].difference)
-        return [cost_of(m, self.study.of(method=m)) for m in dict.fromkeys(methods)]
+        return list(dict.fromkeys(methods))
 
     @property
     def steadiness(self) -> list[SigmaComparison]:
@@ -283,17 +273,6 @@ def _of_baseline(study: Study, outcomes: Outcomes) -> Verdict:
     if study.rival:
         return Verdict("rival", study.baseline)
     return Verdict("own baselines" if gains else "baseline", study.baseline)
-
-
-def cost_of(method: Method, runs: Sequence[ReportRun]) -> Cost:
-    """The mean cost over some runs of a method."""
-    return Cost(
-        method,
-        average([run.record.train_s for run in runs]),
-        average([run.record.train_cpu_s for run in runs]),
-        average([float(run.record.gaussians) for run in runs]) or 0.0,
-        average([float(run.record.parameters) for run in runs]) or 0.0,
-    )
 
 
 def contests(study: Study) -> list[Contest]:

@@ -195,7 +195,7 @@ def templates() -> Environment:
         for name in dir(numbers)
         if name.startswith("format_")
     }
-    env.filters |= PLAIN_FILTERS
+    env.filters |= {**PLAIN_FILTERS, "average": numbers.average}
     env.globals |= {"CONTENTS": CONTENTS, "LONG": LONG, "MANY": MANY, "LEFT": LEFT}
     return env
 
