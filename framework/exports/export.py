@@ -31,26 +31,15 @@ def main(arguments: list[str], prog: str) -> int:
         "--compact: expected no --format, as it writes SPZ; leave one of them out",
     )
     kinds = [] if options.compact else _kinds(options.format or ["spz"])
-    from framework.records.record import RECORD
     from framework.records.run_files import EXPORT
 
     folder = options.out or options.run / EXPORT
-    require(
-        folder.resolve() != options.run.resolve(),
-        f"--out: expected another folder than the run's, got {folder}; the cameras of the run would"
-        " be lost",
-    )
-    require(
-        not (folder / RECORD).exists(),
-        f"--out: expected a folder that is no run's, got {folder}; the cameras of that run would be"
-        " lost",
-    )
-    _check_no_cameras_of_others(folder)
+    _check_no_cameras_of_others(folder, options.run)
     import numpy as np
 
     from framework.exports.flight import distance, lens_of, rig
     from framework.exports.opened import open_run
-    from framework.exports.upright import moved_camera, moved_gaussians, upright
+    from framework.exports.upright import moved_run, upright
     from framework.records.cameras import write_cameras
     from framework.records.first_view import SETTINGS, settings
 
@@ -59,10 +48,8 @@ def main(arguments: list[str], prog: str) -> int:
     away = distance(run, rig(cameras), lens_of(cameras, None))
     motion = upright(rig(cameras), away) if options.frame == "upright" else np.eye(4)
     if options.frame == "upright":
-        cameras = [moved_camera(camera, motion) for camera in cameras]
-        viewmats = [camera.viewmat.numpy() for camera in cameras]
-        moved = [replace(a, viewmat=b) for a, b in zip(run.cameras, viewmats, strict=True)]
-        run = replace(run, gaussians=moved_gaussians(run.gaussians, motion), cameras=tuple(moved))
+        run = moved_run(run, motion)
+        cameras = [named.camera for named in run.cameras]
     # before the first is written, as a format may refuse the model
     files = {f"{NAME}{SUFFIXES[k]}": packed(run.gaussians, run.background, k) for k in kinds}
     loss = ""
@@ -102,12 +89,17 @@ def _compact(run: OpenedRun, motion: Array) -> tuple[bytes, str]:
     )
 
 
-def _check_no_cameras_of_others(folder: Path) -> None:
-    """Raise UserError if camera files that no export wrote would be overwritten: a folder of photos
-    may have a transforms.json. Exports also write a first view."""
+def _check_no_cameras_of_others(folder: Path, run: Path) -> None:
+    """Raise UserError if camera files that no export wrote would be overwritten: those of a run, or
+    of a folder of photos, which may have a transforms.json. Exports also write a first view."""
     from framework.records.cameras import CAMERAS, TRANSFORMS
     from framework.records.first_view import SETTINGS
+    from framework.records.record import RECORD
 
+    require(
+        folder.resolve() != run.resolve() and not (folder / RECORD).exists(),
+        f"--out: expected another folder than the run's, got {folder}, whose cameras would be lost",
+    )
     others = [name for name in (CAMERAS, TRANSFORMS) if (folder / name).exists()]
     require(
         not others or (folder / SETTINGS).exists(),

@@ -6,6 +6,7 @@ significantly worse, or neither, each with the interval of that report.
 """
 
 import os
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,6 +94,9 @@ class Match:
         return 1 if self.comparison.difference > 0 else -1
 
 
+Leagues = Sequence[tuple[Method, Sequence[Match]]]
+
+
 def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int, str]:
     """Write the leaderboard of all studies below the folder; returns its path, how many are in it,
     and the verdict. rival: the baseline of the studies that have it.
@@ -109,17 +113,18 @@ def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int
     matches = [match for entry in entries for match in _matches(entry)]
     make_folder(out_dir)
     ranked = [match for match in matches if match.ranked]
+    leagues = _by_league(ranked)
     families = sorted({match.family for match in matches}, key=lambda method: method.order)
     context: dict[str, Any] = {
         "matches": ranked,
-        "better": _counts(ranked, 1),
-        "worse": _counts(ranked, -1),
-        "ranks": _ranks(ranked),
+        "better": _counts(leagues, 1),
+        "worse": _counts(leagues, -1),
+        "ranks": _ranks(leagues),
         "forest": _forest(ranked, families, out_dir),
         "studies": [_study_row(entry, out_dir) for entry in entries],
         "broken": [{"Study": name, "Why": why} for name, why in sorted(broken.items())],
         "rows": [_row(match) for match in matches],
-        "footnote": learned_footnote(_methods(entries)),
+        "footnote": learned_footnote(m for entry in entries for m in entry.study.methods),
     }
     page = Page("Leaderboard", out_dir, families, (), {})
     publish("leaderboard.jinja", out_dir / REPORT, page, context)
@@ -185,35 +190,32 @@ def _n_scenes(study: Study, scenes: Sequence[str]) -> str:
     return str(len({study.name_of(scene) for scene in scenes}))
 
 
-def _methods(entries: Sequence[Entry]) -> list[Method]:
-    return [method for entry in entries for method in entry.study.methods]
+def _by_league(matches: Sequence[Match]) -> list[tuple[Method, list[Match]]]:
+    """The families by learned weights, in the order of reports, each with its comparisons."""
+    groups: dict[tuple[Method, str], list[Match]] = defaultdict(list)
+    for match in matches:
+        groups[match.league].append(match)
+    order = sorted(groups, key=lambda league: (league[0].order, league[1]))
+    return [(league[0], groups[league]) for league in order]
 
 
-def _leagues(matches: Sequence[Match]) -> list[tuple[Method, str]]:
-    """The distinct families by learned weights, in the order of reports."""
-    leagues = {match.league for match in matches}
-    return sorted(leagues, key=lambda league: (league[0].order, league[1]))
+def _counts(leagues: Leagues, sign: int) -> list[tuple[Method, int]]:
+    counts = [(family, [m.sign for m in matches].count(sign)) for family, matches in leagues]
+    return [(family, count) for family, count in counts if count]
 
 
-def _counts(matches: Sequence[Match], sign: int) -> list[tuple[Method, int]]:
-    of_sign = [match for match in matches if match.sign == sign]
-    leagues = [match.league for match in of_sign]
-    return [(league[0], leagues.count(league)) for league in _leagues(of_sign)]
-
-
-def _ranks(matches: Sequence[Match]) -> list[Cells]:
+def _ranks(leagues: Leagues) -> list[Cells]:
     """One row per method, sorted by wins minus losses, then by the mean difference."""
     rows = []
-    for league in _leagues(matches):
-        of_family = [match for match in matches if match.league == league]
-        signs = [match.sign for match in of_family]
-        differences = [match.comparison.difference for match in of_family]
-        mean = sum(differences) / len(of_family)
+    for family, matches in leagues:
+        signs = [match.sign for match in matches]
+        differences = [match.comparison.difference for match in matches]
+        mean = sum(differences) / len(matches)
         ends = [format_difference(end) for end in (min(differences), max(differences))]
         row: Cells = {
-            "Method": league[0],
-            "Studies": str(len({match.entry.name for match in of_family})),
-            "Comparisons": str(len(of_family)),
+            "Method": family,
+            "Studies": str(len({match.entry.name for match in matches})),
+            "Comparisons": str(len(matches)),
             "Better": str(signs.count(1)),
             "Not significant": str(signs.count(0)),
             "Worse": str(signs.count(-1)),

@@ -110,12 +110,7 @@ def _run(run: ViewedRun, model: Packed, name: str) -> dict[str, Any]:
     background = run.splats.background or [0.0, 0.0, 0.0]
     return {
         "label": name,
-        "n": model.count,
-        "banded": model.banded,
-        "rest": model.rest,
-        "log_scales": model.log_scales,
-        "sh0": model.sh0,
-        "bands": model.bands,
+        **{key: value for key, value in vars(model).items() if key != "text"},
         "background": [min(1.0, max(0.0, value)) for value in background],
         "near": run.near,
     }

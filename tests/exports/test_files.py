@@ -116,7 +116,7 @@ def test_the_runs_own_files_are_not_written_over(tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.mkdir()
     (other / "record.json").touch()
-    with pytest.raises(UserError, match=r"--out: expected a folder that is no run's, got "):
+    with pytest.raises(UserError, match="another folder than the run's"):
         main([str(run), "--out", str(other)], "export")
 
 

@@ -88,7 +88,7 @@ def test_the_packed_gaussians_are_the_run_s(tmp_path: Path, banded: int) -> None
     write_ply(tmp_path / "point_cloud.ply", gaussians, background)
     splats = read_splats(tmp_path / "point_cloud.ply")
     built = packed(splats)
-    assert (built.count, built.banded, built.rest) == (200, banded, 15 if banded else 0)
+    assert (built.n, built.banded, built.rest) == (200, banded, 15 if banded else 0)
     content = gzip.decompress(base64.b64decode(built.text))
     kinds = ["<f4", "<u2", "<i2", "<u2", "<u2", "u1"]
     sizes = [600, 600, 800, 200, 600, 45 * banded]
