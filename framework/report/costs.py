@@ -2,9 +2,9 @@
 
 A configuration is a method with its budget. It is on the Pareto front of a scene if no other one is
 at least as good at no higher cost. Configurations may lack seeds, so they are ranked by their
-difference to the configuration with the most seeds, over common seeds. A configuration is *worth
-its cost* if it is the cheapest of the front, or significantly better than the last cheaper one that
-is (paired t test, corrected for all others of the scene).
+difference to the configuration with the most seeds, over common seeds. The cheapest configuration
+of the front is *worth its cost*. Another one is if it is significantly better than the last cheaper
+one that is (paired t test, corrected for all others of the scene).
 """
 
 from collections.abc import Callable, Sequence
@@ -179,8 +179,12 @@ def _as_good(best: Entry, options: Sequence[Entry], tests: int) -> list[Entry]:
 
 @dataclass(frozen=True)
 class Cheapest:
-    """The configuration of the highest PSNR, and the cheapest ones that are as good: in seconds
-    (None if runs of different machines do not compare) and in bytes (None if they are unknown)."""
+    """The configuration of the highest PSNR, and the cheapest ones that are as good.
+
+    Attributes:
+        quickest: in seconds. None if runs of different machines do not compare.
+        smallest: in bytes. None if these are unknown.
+    """
 
     best: Entry
     quickest: Entry | None

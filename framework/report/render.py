@@ -65,7 +65,7 @@ class Page:
         methods, scenes: what the page can be filtered by.
         folder: of the pictures, which the page takes in.
         data: for the page's script.
-        headings: filled while the template is rendered.
+        headings: list filled while the template is rendered.
     """
 
     title: str
@@ -126,7 +126,7 @@ def data_uri(content: bytes, kind: str = "image/webp") -> str:
 
 
 def publish(template: str, report: Path, page: Page, context: Mapping[str, Any]) -> None:
-    """Write a report as Markdown, and as a page beside it."""
+    """Write a report as Markdown, and as a page with the same name."""
     whole = render_page(template, page, **context)
     text = render(template, "markdown", page, **context)
     write_whole(report.with_suffix(".html"), whole)

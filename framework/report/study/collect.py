@@ -30,8 +30,8 @@ def collect(
     """Read every record below the folders.
 
     Args:
-        study_dirs: folders with runs, or with their archive (`framework.records.archive`).
-        out_dir: folder of the report; by default the first folder.
+        study_dirs: folders with runs, or with an archive of them.
+        out_dir: folder of the report. The default is the first folder.
         rival: display or registry name of the baseline; "" for training without a method.
 
     Raises:
