@@ -129,17 +129,18 @@ def check_together(runs: Sequence[ViewedRun]) -> None:
         common = [(named[c.name], c) for c in other.cameras if c.name in named]
         if not common:
             raise UserError(f"{where}, got no camera of the same name; choose two of one scene")
-        centers = np.array([a.center for a, _ in common])
-        size = max(float(np.ptp(centers, axis=0).max()), 1e-3 * float(np.abs(centers).max()), 1e-9)
-        apart = max(
-            max(
-                float(np.abs(a.center - b.center).max()) / size,
-                float(np.abs(a.viewmat[:3, :3] - b.viewmat[:3, :3]).max()),
-            )
-            for a, b in common
-        )
+        apart = _apart(common)
         require(
             apart <= SAME,
             f"{where}, got cameras in other places (off by {apart:.2g} of the rig's size);"
             " choose two runs with the same poses",
         )
+
+
+def _apart(pairs: Sequence[tuple[NamedCamera, NamedCamera]]) -> float:
+    """The largest difference of the cameras: of the rig's size, or of an axis."""
+    centers = np.array([one.center for one, _ in pairs])
+    size = max(float(np.ptp(centers, axis=0).max()), 1e-3 * float(np.abs(centers).max()), 1e-9)
+    moved = max(float(np.abs(one.center - other.center).max()) for one, other in pairs)
+    turned = (one.viewmat[:3, :3] - other.viewmat[:3, :3] for one, other in pairs)
+    return max(moved / size, *(float(np.abs(axes).max()) for axes in turned))
