@@ -17,11 +17,8 @@ Options are the words of the command line (`fishersplat --help` lists them). Inv
 files raise `UserError`, whose text is one line: where, what is wrong, and how to fix it.
 """
 
-from __future__ import annotations
-
-from fishersplat.models import Model, render, train
+from fishersplat.models import Model, load_scene, render, train
 from fishersplat.runs import Run, load_run, run
-from fishersplat.scenes import load_scene
 from fishersplat.studies import Study, load_study
 from framework import __version__
 from framework.errors import UserError

@@ -1,7 +1,5 @@
 """Read the runs of a study and compare its methods."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +19,8 @@ class Study:
 
     Attributes:
         folder: the folder that `load_study` read.
-        runs: one row per run: `method`, `scene`, `seed`, the mean of each metric over the test
-            views (`psnr` in dB), `gaussians`, `train_s` and `train_cpu_s` in seconds, `folder`.
+        runs: one row per run, with `method`, `scene`, `seed`, `gaussians` and `folder`. Metrics
+            are means over the test views (`psnr` in dB). `train_s` and `train_cpu_s` are seconds.
     """
 
     folder: Path
@@ -35,9 +33,9 @@ class Study:
             baseline: display or registry name of a method; by default training without a method.
 
         Returns:
-            One row per method: `difference` of PSNR in dB, its 95 % confidence interval `low` to
-            `high` and `p`, both Bonferroni-corrected for all rows, whether it is `significant`, and
-            `n` seeds. Missing values where single runs allow no interval.
+            One row per method: `difference` of PSNR in dB, whether it is `significant`, and `n`
+            seeds. Its 95 % confidence interval `low` to `high` and `p` are Bonferroni-corrected for
+            all rows. Missing values where single runs allow no interval.
 
         Raises:
             UserError: No method has that name.

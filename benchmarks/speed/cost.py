@@ -23,6 +23,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from framework.records.progress import Progress
+
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
@@ -49,8 +51,8 @@ class Turn:
     gaussians: int
 
 
-class Turns:
-    """A `Progress` that lets a training go on for `chunk` steps per line on stdin, and answers with
+class Turns(Progress):
+    """Lets a training go on for `chunk` steps per line on stdin, and answers with
     the `Turn` as JSON."""
 
     def __init__(self, chunk: int) -> None:
@@ -69,14 +71,6 @@ class Turns:
             print(json.dumps(asdict(Turn(cpu, wall, step, n_steps, gaussians))), flush=True)
             if step < n_steps:
                 self.wait()
-
-    def stage(self, what: str) -> None: ...
-
-    def compiling(self, what: str) -> None: ...
-
-    def note(self, text: str) -> None: ...
-
-    def done(self, text: str) -> None: ...
 
 
 def train(method: Method, overrides: Sequence[str], chunk: int) -> None:

@@ -14,23 +14,20 @@ whole photos.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from framework.errors import require
 from framework.exports.formats import finest_fraction, full, spz
-from framework.exports.opened import OpenedRun, read_named_cameras
-from framework.files.documents import read_json
-from framework.files.limits import TEXT_BYTES
+from framework.exports.opened import OpenedRun, read_run_cameras
 from framework.files.opened import is_file
 from framework.files.paths import inside
 from framework.metrics.evaluate import psnr
 from framework.records.cameras import TRANSFORMS
-from framework.records.photos import photo_files
-from framework.records.run_files import RENDERS, file_stems
+from framework.records.run_files import RENDERS, file_stems, photo_files
 from framework.records.spz import unpacked
 from framework.scenes.images import read_image
 
@@ -82,19 +79,18 @@ def read_photos(folder: Path) -> tuple[list[Photo], list[Photo]]:
     """
     import torch
 
-    path = folder / TRANSFORMS
-    content = read_json(path, TEXT_BYTES)
-    cameras = {named.name: named.camera for named in read_named_cameras(path)}
-    exposures = {
-        frame["file_path"]: frame.get("exposure", 3 * [1.0]) for frame in content["frames"]
-    }
+    read = read_run_cameras(folder)
+    cameras = {named.name: named for named in read.cameras}
 
     def photos(names: Sequence[str], files: Sequence[str]) -> Iterator[Photo]:
         for name, file in zip(names, files, strict=True):
-            require(name in cameras, f"{path}: expected a camera of {name!r:.80}, got none")
+            require(
+                name in cameras,
+                f"{folder / TRANSFORMS}: expected a camera of {name!r:.80}, got none",
+            )
             if not is_file(folder / file):
                 continue
-            camera, image = cameras[name], _pixels(inside(folder, file))
+            camera, image = cameras[name].camera, _pixels(inside(folder, file))
             require(
                 image.shape[1:] == (camera.height, camera.width),
                 f"{folder / file}: expected {camera.width}x{camera.height} pixels as its camera has"
@@ -106,25 +102,12 @@ def read_photos(folder: Path) -> tuple[list[Photo], list[Photo]]:
                 camera,
                 image,
                 _pixels(inside(folder, mask))[0] if masked else None,
-                torch.tensor(_exposure(exposures[name], path)),
+                torch.tensor(cameras[name].exposure),
             )
 
-    train, test = (_names(content.get(f"{kind}_filenames", []), path) for kind in ("train", "test"))
-    shown = [f"{RENDERS}/{stem}_truth.png" for stem in file_stems(test)]
-    return [*photos(train, photo_files(train))], [*photos(test, shown)]
-
-
-def _names(value: Any, path: Path) -> list[str]:
-    fits = isinstance(value, list) and all(isinstance(name, str) for name in value)
-    require(fits, f"{path}: expected names of photos, got {str(value)[:80]!r}; run again")
-    return list(value)
-
-
-def _exposure(value: Any, path: Path) -> list[float]:
-    fits = isinstance(value, list) and len(value) == 3
-    fits = fits and all(type(factor) in (int, float) and 0 < factor < 1e9 for factor in value)
-    require(fits, f"{path}: expected an exposure of 3 positive numbers, got {str(value)[:80]!r}")
-    return [float(factor) for factor in value]
+    shown = [f"{RENDERS}/{stem}_truth.png" for stem in file_stems(read.test)]
+    training = photos(read.training, photo_files(read.training))
+    return [*training], [*photos(read.test, shown)]
 
 
 def _pixels(file: Path) -> Tensor:
@@ -166,36 +149,20 @@ def compact(run: OpenedRun, photos: Sequence[Photo]) -> Compact:
         return best
     photos = photos[:: -(-len(photos) // MOST_PHOTOS)]
     goal = mean_psnr(run, gaussians, photos) - LIMIT_DB
-    for coarser in (_less_degree, _less_bits, _less_fraction):
-        while trial := coarser(best.precision):
-            tried = written(trial)
-            if not mean_psnr(run, tried.gaussians, photos) >= goal:
+    for name, least in (("degree", 0), ("bits", FEWEST_BITS), ("fraction", LEAST_FRACTION)):
+        while (value := getattr(best.precision, name)) > least:
+            if name == "bits" and best.precision.degree == 0:
                 break
-            best = tried
+            trial = written(replace(best.precision, **{name: value - 1}))
+            if not mean_psnr(run, trial.gaussians, photos) >= goal:
+                break
+            best = trial
     return best
-
-
-def _less_degree(of: Precision) -> Precision | None:
-    return replace(of, degree=of.degree - 1) if of.degree > 0 else None
-
-
-def _less_bits(of: Precision) -> Precision | None:
-    return replace(of, bits=of.bits - 1) if of.degree > 0 and of.bits > FEWEST_BITS else None
-
-
-def _less_fraction(of: Precision) -> Precision | None:
-    return replace(of, fraction=of.fraction - 1) if of.fraction > LEAST_FRACTION else None
 
 
 def decoded(content: bytes) -> Gaussians:
     """The Gaussians of an SPZ file."""
-    import torch
-
-    from framework.types import Gaussians
-
-    splats = unpacked(content, "the written file")
-    arrays = {f.name: getattr(splats, f.name) for f in fields(splats) if f.name != "background"}
-    return Gaussians(**{name: torch.from_numpy(array) for name, array in arrays.items()})
+    return unpacked(content, "the written file").gaussians()
 
 
 def _sorted(gaussians: Gaussians) -> Gaussians:

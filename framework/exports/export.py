@@ -13,9 +13,8 @@ from framework.exports.formats import SUFFIXES, can_write, check_writer, packed
 from framework.files.whole import make_folder, write_whole
 
 if TYPE_CHECKING:
+    from framework.exports.flight import Array
     from framework.exports.opened import OpenedRun
-    from framework.exports.rig import Array
-    from framework.types import Camera
 
 NAME = "scene"
 
@@ -32,27 +31,16 @@ def main(arguments: list[str], prog: str) -> int:
         "--compact: expected no --format, as it writes SPZ; leave one of them out",
     )
     kinds = [] if options.compact else _kinds(options.format or ["spz"])
-    from framework.records.record import RECORD
     from framework.records.run_files import EXPORT
 
     folder = options.out or options.run / EXPORT
-    require(
-        folder.resolve() != options.run.resolve(),
-        f"--out: expected another folder than the run's, got {folder}; the cameras of the run would"
-        " be lost",
-    )
-    require(
-        not (folder / RECORD).exists(),
-        f"--out: expected a folder that is no run's, got {folder}; the cameras of that run would be"
-        " lost",
-    )
-    _check_no_cameras_of_others(folder)
+    _check_no_cameras_of_others(folder, options.run)
     import numpy as np
 
-    from framework.exports.flight import distance, lens_of
+    from framework.exports.flight import distance, lens_of, rig
     from framework.exports.opened import open_run
-    from framework.exports.rig import rig
-    from framework.exports.upright import moved_camera, moved_gaussians, upright
+    from framework.exports.upright import moved_run, upright
+    from framework.records.cameras import write_cameras
     from framework.records.first_view import SETTINGS, settings
 
     run = open_run(options.run)
@@ -60,16 +48,15 @@ def main(arguments: list[str], prog: str) -> int:
     away = distance(run, rig(cameras), lens_of(cameras, None))
     motion = upright(rig(cameras), away) if options.frame == "upright" else np.eye(4)
     if options.frame == "upright":
-        cameras = [moved_camera(camera, motion) for camera in cameras]
-        moved = [replace(a, camera=b) for a, b in zip(run.cameras, cameras, strict=True)]
-        run = replace(run, gaussians=moved_gaussians(run.gaussians, motion), cameras=tuple(moved))
+        run = moved_run(run, motion)
+        cameras = [named.camera for named in run.cameras]
     # before the first is written, as a format may refuse the model
     files = {f"{NAME}{SUFFIXES[k]}": packed(run.gaussians, run.background, k) for k in kinds}
     loss = ""
     if options.compact:
         files[f"{NAME}{SUFFIXES['spz']}"], loss = _compact(run, motion)
     make_folder(folder)
-    _write_cameras(folder, [named.name for named in run.cameras], cameras, run.near)
+    write_cameras(folder, run.cameras, [], run.near)
     write_whole(folder / SETTINGS, settings(cameras, run.background.tolist(), away))
     for name, content in files.items():
         write_whole(folder / name, content)
@@ -103,12 +90,17 @@ def _compact(run: OpenedRun, motion: Array) -> tuple[bytes, str]:
     )
 
 
-def _check_no_cameras_of_others(folder: Path) -> None:
-    """Raise UserError if camera files that no export wrote would be overwritten: a folder of photos
-    may have a transforms.json. Exports also write a first view."""
+def _check_no_cameras_of_others(folder: Path, run: Path) -> None:
+    """Raise UserError if camera files that no export wrote would be overwritten: those of a run, or
+    of a folder of photos, which may have a transforms.json. Exports also write a first view."""
     from framework.records.cameras import CAMERAS, TRANSFORMS
     from framework.records.first_view import SETTINGS
+    from framework.records.record import RECORD
 
+    require(
+        folder.resolve() != run.resolve() and not (folder / RECORD).exists(),
+        f"--out: expected another folder than the run's, got {folder}, whose cameras would be lost",
+    )
     others = [name for name in (CAMERAS, TRANSFORMS) if (folder / name).exists()]
     require(
         not others or (folder / SETTINGS).exists(),
@@ -130,19 +122,6 @@ def _kinds(asked: list[str]) -> list[str]:
         if not can_write(kind):
             print(f"export: without {kind}; pip install 'fishersplat[{kind}]' writes it too")
     return [kind for kind in SUFFIXES if can_write(kind)]
-
-
-def _write_cameras(folder: Path, names: list[str], cameras: list[Camera], near: float) -> None:
-    import torch
-
-    from framework.records.cameras import write_cameras
-    from framework.types import View
-
-    views = [
-        View(name, camera, torch.empty(3, 0, 0))
-        for name, camera in zip(names, cameras, strict=True)
-    ]
-    write_cameras(folder, views, [], near)
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:

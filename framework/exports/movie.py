@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     Pictures = Sequence[NDArray[np.uint8]]  # [H, W, 3] each, H and W even
 
 SUFFIXES = (".mp4", ".webm", ".webp", ".gif")
-VP9 = {"crf": "30", "b": "0", "row-mt": "1", "cpu-used": "4"}  # constant quality, medium effort
+# of OpenCV: VP9 of constant quality, medium effort
+OPTIONS = "OPENCV_FFMPEG_WRITER_OPTIONS", "crf;30|b;0|row-mt;1|cpu-used;4"
 H264 = {"crf": "20", "preset": "medium"}
 GIF_FPS = 50
-OPTIONS = "OPENCV_FFMPEG_WRITER_OPTIONS"
 
 
 def has_h264() -> bool:
@@ -88,7 +88,8 @@ def _webm(pictures: Pictures, fps: int) -> bytes:
     import cv2
 
     height, width = pictures[0].shape[:2]
-    with tempfile.TemporaryDirectory() as folder, _options():
+    os.environ.setdefault(*OPTIONS)
+    with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "video.webm"
         code = cv2.VideoWriter.fourcc(*"VP90")
         with _quiet():  # OpenCV warns that the container has no tag
@@ -102,20 +103,6 @@ def _webm(pictures: Pictures, fps: int) -> bytes:
             writer.write(picture[..., ::-1].copy())
         writer.release()
         return file.read_bytes()
-
-
-@contextlib.contextmanager
-def _options() -> Iterator[None]:
-    """Set OpenCV's options of encoding."""
-    before = os.environ.get(OPTIONS)
-    os.environ[OPTIONS] = "|".join(f"{key};{value}" for key, value in VP9.items())
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[OPTIONS]
-        else:
-            os.environ[OPTIONS] = before
 
 
 @contextlib.contextmanager

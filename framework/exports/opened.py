@@ -6,22 +6,24 @@ instant-ngp and nerfstudio (see `framework.records.cameras`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from framework.errors import UserError, require
 from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES, check_pixels
 from framework.files.opened import is_file
-from framework.records.cameras import NEAR, TRANSFORMS
+from framework.records.cameras import TRANSFORMS
 from framework.records.record import PLY
-from framework.scenes.cameras import checked_lens, checked_pose
+from framework.scenes.cameras import center_of, checked_lens, checked_pose
 from framework.scenes.lens import Lens
-from framework.scenes.transforms_file import read_cameras
+from framework.scenes.transforms_file import Frame, read_cameras
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -29,15 +31,63 @@ if TYPE_CHECKING:
     from framework.types import Camera, Gaussians, Render
 
 MOST = 100_000  # cameras
+LARGEST = 1e12  # of a number in the file; far beyond any camera
 
 
 @dataclass(frozen=True)
 class NamedCamera:
-    """distorted: the file also gives a lens distortion, which `camera` does not have."""
+    """A camera of a file.
+
+    Attributes:
+        viewmat: [4, 4] OpenCV world-to-camera.
+        lens: in pixels; a distortion is not part of `camera`.
+        exposure: [3] factors of the photo's colours to those of the model.
+        tests: whether it is a test view.
+    """
 
     name: str
-    camera: Camera
-    distorted: bool = False
+    viewmat: NDArray[np.float64]
+    lens: Lens
+    exposure: tuple[float, ...] = (1.0, 1.0, 1.0)
+    tests: bool = False
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """[3] in the world."""
+        return center_of(self.viewmat)
+
+    @property
+    def distorted(self) -> bool:
+        """Whether the file gives a lens distortion."""
+        return any(self.lens.distortion.terms)
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The pinhole camera."""
+        import torch
+
+        from framework.types import Camera
+
+        lens = self.lens
+        K = [[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]]
+        intrinsics = torch.tensor(K, dtype=torch.float64)
+        return Camera(torch.from_numpy(self.viewmat), intrinsics, lens.width, lens.height)
+
+
+@dataclass(frozen=True)
+class RunCameras:
+    """The `transforms.json` of a run.
+
+    Attributes:
+        cameras: in the file's order.
+        training, test: names of the photos.
+        near: depth where rendering begins.
+    """
+
+    cameras: tuple[NamedCamera, ...]
+    training: tuple[str, ...]
+    test: tuple[str, ...]
+    near: float
 
 
 @dataclass(frozen=True)
@@ -69,26 +119,37 @@ def open_run(folder: Path) -> OpenedRun:
 
     from framework.records.ply import read_ply
 
-    path = folder / TRANSFORMS
     require(
-        is_file(folder / PLY) and is_file(path),
+        is_file(folder / PLY) and is_file(folder / TRANSFORMS),
         f"{folder}: expected the folder of a finished run, with {PLY} and {TRANSFORMS}, found none;"
         " a study's runs are in reports/STUDY/runs/NAME",
     )
-    content = read_json(path, TEXT_BYTES)
-    require(isinstance(content, dict), f"{path}: expected a run's cameras, got a list; train again")
-    cameras = read_named_cameras(path)
-    near = content.get("near_plane", NEAR)
-    right = isinstance(near, int | float) and not isinstance(near, bool) and 0 < near < 1e9
-    require(right, f"{path}: expected a positive near_plane, got {near!r:.80}")
-    names = content.get("train_filenames")
-    names = names if isinstance(names, list) else []
-    training = tuple(named for named in cameras if named.name in names) or tuple(cameras)
+    read = read_run_cameras(folder)
+    training = tuple(c for c in read.cameras if c.name in read.training) or read.cameras
     gaussians, background = read_ply(folder / PLY)
     require(len(gaussians) > 0, f"{folder / PLY}: expected Gaussians, got none; train again")
     if background is None:
         background = torch.zeros(3)
-    return OpenedRun(folder, gaussians, background, training, float(near))
+    return OpenedRun(folder, gaussians, background, training, read.near)
+
+
+def read_run_cameras(folder: Path) -> RunCameras:
+    """Read the cameras of a run, without torch.
+
+    Raises:
+        UserError: if the file is missing or was not written by a run.
+    """
+    path = folder / TRANSFORMS
+    frames = read_cameras(path)
+    content = read_json(path, TEXT_BYTES)
+    near = content.get("near_plane")
+    _check(path, _is_number(near) and near > 0, "a positive near_plane", near)
+    training, test = (content.get(f"{kind}_filenames") for kind in ("train", "test"))
+    for names in (training, test):
+        fits = isinstance(names, list) and all(isinstance(name, str) for name in names)
+        _check(path, fits, "names of photos", names)
+    cameras = tuple(_of_frame(frame, test) for frame in frames)
+    return RunCameras(cameras, tuple(training), tuple(test), float(near))
 
 
 def read_named_cameras(path: Path) -> list[NamedCamera]:
@@ -99,7 +160,7 @@ def read_named_cameras(path: Path) -> list[NamedCamera]:
     """
     content = read_json(path, TEXT_BYTES)
     if isinstance(content, dict) and "frames" in content:
-        return _from_transforms(path)
+        return [_of_frame(frame) for frame in read_cameras(path)]
     if isinstance(content, list) and content and all(isinstance(entry, dict) for entry in content):
         require(len(content) <= MOST, f"{path}: expected at most {MOST:,} cameras; use fewer")
         return [_listed(entry, f"{path}: camera {n}") for n, entry in enumerate(content)]
@@ -109,19 +170,16 @@ def read_named_cameras(path: Path) -> list[NamedCamera]:
     )
 
 
-def _from_transforms(path: Path) -> list[NamedCamera]:
-    cameras = []
-    for frame in read_cameras(path):
-        require(
-            "w" in frame.values and "h" in frame.values,
-            f"{frame.where}: expected w and h, the size of the picture in pixels, got none; add"
-            " them to the file",
-        )
-        lens = frame.lens(0, 0)
-        cameras.append(
-            NamedCamera(frame.name, _camera(frame.viewmat, lens), any(lens.distortion.terms))
-        )
-    return cameras
+def _of_frame(frame: Frame, test: Collection[str] = ()) -> NamedCamera:
+    sides = [frame.values.get(side) for side in ("w", "h")]
+    _check(frame.where, None not in sides, "w and h, the size of the picture in pixels", sides)
+    exposure = frame.entry.get("exposure", [1.0, 1.0, 1.0])
+    fits = isinstance(exposure, list) and len(exposure) == 3 and all(map(_is_number, exposure))
+    _check(frame.where, fits and min(exposure) > 0, "an exposure of 3 positive numbers", exposure)
+    lens = frame.lens(0, 0)
+    check_pixels(frame.where, lens.width, lens.height)
+    factors = tuple(map(float, exposure))
+    return NamedCamera(frame.name, frame.viewmat, lens, factors, frame.name in test)
 
 
 def _listed(entry: Mapping[str, Any], where: str) -> NamedCamera:
@@ -137,7 +195,9 @@ def _listed(entry: Mapping[str, Any], where: str) -> NamedCamera:
     )
     lens = Lens(round(width), round(height), fx, fy, width / 2, height / 2)
     name = entry.get("img_name", entry.get("id", where))
-    return NamedCamera(str(name), _camera(viewmat, checked_lens(lens, where)))
+    checked_lens(lens, where)
+    check_pixels(where, lens.width, lens.height)
+    return NamedCamera(str(name), viewmat, lens)
 
 
 def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str) -> Any:
@@ -155,13 +215,9 @@ def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: 
     return array
 
 
-def _camera(viewmat: Any, lens: Lens) -> Camera:
-    import torch
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) <= LARGEST
 
-    from framework.types import Camera
 
-    check_pixels("camera", lens.width, lens.height)
-    K = [[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]]
-    return Camera(
-        torch.from_numpy(viewmat), torch.tensor(K, dtype=torch.float64), lens.width, lens.height
-    )
+def _check(where: object, good: object, expected: str, got: object) -> None:
+    require(bool(good), f"{where}: expected {expected}, got {str(got)[:80]!r}; run again")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TextIO
 
 from framework.compute.stopwatch import duration
-from framework.records.progress import unread
+from framework.records.progress import Line
 
 if TYPE_CHECKING:
     import numpy as np
@@ -96,23 +96,15 @@ class Ticks:
     """
 
     def __init__(self, what: str, stream: TextIO | None = None) -> None:
-        self._what, self._stream = what, stream if stream is not None else sys.stderr
-        self._terminal = self._stream.isatty()
+        self._what, self._line = what, Line(sys.stderr if stream is None else stream)
         self._started = self._printed_at = time.monotonic()
 
     def __call__(self, done: int, total: int) -> None:
         now = time.monotonic()
-        if done < total and now - self._printed_at < PERIOD_S[self._terminal]:
+        if done < total and now - self._printed_at < PERIOD_S[self._line.in_place]:
             return
         self._printed_at = now
         left = (now - self._started) / done * (total - done) if done else 0.0
         rest = f", {duration(left)} left" if left >= 1 else ""
-        text = f"{done} of {total} {self._what}{rest}"
-        try:
-            if self._terminal:
-                self._stream.write(f"\r\x1b[K{text}{'' if done < total else chr(10)}")
-            else:
-                self._stream.write(f"{text}\n")
-            self._stream.flush()
-        except BrokenPipeError:
-            unread(self._stream)
+        show = self._line.show if done < total else self._line.keep
+        show(f"{done} of {total} {self._what}{rest}")

@@ -33,9 +33,8 @@ def main(arguments: list[str], prog: str) -> int:
     )
     from framework.exports.opened import open_run, read_named_cameras
     from framework.exports.pictures import Ticks, painter
-    from framework.records.photos import PHOTOS
     from framework.records.record import RECORD
-    from framework.records.run_files import PICTURES, RENDERS, file_stems
+    from framework.records.run_files import PHOTOS, PICTURES, RENDERS, file_stems
 
     named = read_named_cameras(options.cameras)
     cameras = [_resized(one.camera, options.size) for one in named]

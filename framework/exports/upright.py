@@ -8,16 +8,17 @@ cameras look at is the origin). It is not scaled.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from framework.exports.flight import looking
-from framework.exports.rig import Array, Rig, unit
+from framework.exports.flight import Array, Rig, looking, unit
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from framework.exports.opened import OpenedRun
     from framework.types import Camera, Gaussians
 
 LEVEL = 1e-6  # a direction with less of it along the ground is up or down
@@ -47,10 +48,18 @@ def upright(poses: Rig, distance: float) -> Array:
     return moved
 
 
+def moved_run(run: OpenedRun, motion: Array) -> OpenedRun:
+    """The run after a rigid motion [4, 4], with its cameras."""
+    cameras = [
+        replace(named, viewmat=moved_camera(named.camera, motion).viewmat.numpy())
+        for named in run.cameras
+    ]
+    gaussians = moved_gaussians(run.gaussians, motion)
+    return replace(run, gaussians=gaussians, cameras=tuple(cameras))
+
+
 def moved_camera(camera: Camera, motion: Array) -> Camera:
     """The camera that sees the same of the moved scene."""
-    from dataclasses import replace
-
     import torch
 
     return replace(camera, viewmat=camera.viewmat @ torch.from_numpy(np.linalg.inv(motion)))

@@ -77,9 +77,8 @@ def _film(options: argparse.Namespace, folder: Path) -> None:
     check_kind(out, options.fps)
     run = open_run(folder)
     make_folder(out.parent)  # fails before the work
-    from framework.exports.flight import flight, lens_of, usual_seconds
+    from framework.exports.flight import flight, lens_of, rig, usual_seconds
     from framework.exports.pictures import painter
-    from framework.exports.rig import rig
 
     cameras = [named.camera for named in run.cameras]
     path = rig(cameras).kind if options.path == "auto" else options.path

@@ -8,8 +8,6 @@ number is null. `kind` and `again` are of a failed run: the kind of error and th
 repeats it. The file holds all that a report needs but the pictures.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -43,6 +41,10 @@ class Entry:
     run: Run
     kind: str = ""
     again: str = ""
+
+    @property
+    def complete(self) -> bool:
+        return self.run.record.status == "complete"
 
 
 def archive(entries: Iterable[Entry]) -> str:
@@ -99,7 +101,8 @@ def _entry(folder: Path, content: Mapping[str, Any]) -> Entry:
     metrics = _table(content["metrics"], ("view", "tags", "file", "psnr", "render_s"))
     history = _table(content["history"], ("step", "seconds", "test_psnr"))
     run_dir = folder / RUN_FOLDERS / name
-    return Entry(Run(run_dir, record_of(content["record"]), metrics, history), kind, again)
+    record = record_of({"files": {}, **content["record"]})
+    return Entry(Run(run_dir, record, metrics, history), kind, again)
 
 
 def _columns(table: Table) -> dict[str, list[Any]]:

@@ -13,22 +13,31 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from framework.files.whole import write_whole
 
 if TYPE_CHECKING:
-    from framework.types import Camera, View
+    from framework.types import Camera
 
 CAMERAS, TRANSFORMS = "cameras.json", "transforms.json"
-NEAR = 0.01  # scene units; of runs that did not write theirs down
+
+
+class Shot(Protocol):
+    """A view, or a camera with a name."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def camera(self) -> Camera: ...
 
 
 def write_cameras(
     folder: Path,
-    training: Sequence[View],
-    test: Sequence[View],
-    near: float | None = None,
+    training: Sequence[Shot],
+    test: Sequence[Shot],
+    near: float,
     exposure: Callable[[Camera], list[float]] | None = None,
 ) -> None:
     """Write both files into `folder`.
@@ -45,16 +54,15 @@ def write_cameras(
         "val_filenames": [view.name for view in test],  # nerfstudio wants both
         "test_filenames": [view.name for view in test],
         "frames": [_frame(view) for view in [*training, *test]],
+        "near_plane": near,
     }
     if exposure is not None:
         for frame, view in zip(transforms["frames"], [*training, *test], strict=True):
             frame["exposure"] = exposure(view.camera)
-    if near is not None:
-        transforms["near_plane"] = near
     write_whole(folder / TRANSFORMS, json.dumps(transforms))
 
 
-def _listed(number: int, view: View) -> dict[str, Any]:
+def _listed(number: int, view: Shot) -> dict[str, Any]:
     """An entry of `cameras.json`."""
     camera = view.camera
     return {
@@ -69,7 +77,7 @@ def _listed(number: int, view: View) -> dict[str, Any]:
     }
 
 
-def _frame(view: View) -> dict[str, Any]:
+def _frame(view: Shot) -> dict[str, Any]:
     """An entry of `transforms.json`."""
     camera = view.camera
     to_world = camera.viewmat.inverse()

@@ -4,10 +4,8 @@ Library code only logs (`logging.getLogger(__name__)`) and does not depend on `P
 handler Python would drop its INFO records.
 """
 
-from __future__ import annotations
-
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from framework.errors import printable_line
@@ -17,34 +15,16 @@ LOGGERS = ("framework", "plugins")  # the parents of every module's logger
 QUIET = "warm-up"  # a thread of that name is at something the user did not ask for
 
 
-class _Notes(logging.Handler):
-    """Passes every record of at least INFO to `progress.note`, as one line."""
+class _Lines(logging.Handler):
+    """Passes every record from `level` on, as one line."""
 
-    def __init__(self, progress: Progress) -> None:
-        super().__init__(logging.INFO)
-        self._progress = progress
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if record.threadName == QUIET:
-            return
-        text = " ".join(record.getMessage().split())
-        if getattr(record, "passing", False):  # the next such line may replace it
-            self._progress.stage(text)
-            return
-        warns = record.levelno >= logging.WARNING
-        self._progress.note(f"{record.levelname.lower()}: {text}" if warns else text)
-
-
-class _Warnings(logging.Handler):
-    """Appends the text of every warning to `texts`."""
-
-    def __init__(self, texts: list[str]) -> None:
-        super().__init__(logging.WARNING)
-        self._texts = texts
+    def __init__(self, level: int, receive: Callable[[logging.LogRecord, str], None]) -> None:
+        super().__init__(level)
+        self._receive = receive
 
     def emit(self, record: logging.LogRecord) -> None:
         if record.threadName != QUIET:
-            self._texts.append(printable_line(" ".join(record.getMessage().split())))
+            self._receive(record, " ".join(record.getMessage().split()))
 
 
 @contextmanager
@@ -53,7 +33,16 @@ def noted(progress: Progress) -> Iterator[None]:
 
     Afterwards the loggers are as they were, so that runs of one process do not add up.
     """
-    with _handling(_Notes(progress)):
+
+    def show(record: logging.LogRecord, text: str) -> None:
+        if getattr(record, "passing", False):  # the next such line may replace it
+            progress.stage(text)
+        elif record.levelno >= logging.WARNING:
+            progress.note(f"{record.levelname.lower()}: {text}")
+        else:
+            progress.note(text)
+
+    with _handling(_Lines(logging.INFO, show)):
         yield
 
 
@@ -61,7 +50,11 @@ def noted(progress: Progress) -> Iterator[None]:
 def warnings_of() -> Iterator[list[str]]:
     """Yield the list that the warnings of framework and plugins are appended to, one line each."""
     texts: list[str] = []
-    with _handling(_Warnings(texts)):
+
+    def add(_: logging.LogRecord, text: str) -> None:
+        texts.append(printable_line(text))
+
+    with _handling(_Lines(logging.WARNING, add)):
         yield texts
 
 

@@ -105,6 +105,15 @@ class Splats:
     shN: np.ndarray
     background: list[float] | None
 
+    def gaussians(self) -> Gaussians:
+        """The same as tensors."""
+        import torch
+
+        from framework.types import Gaussians
+
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "background"}
+        return Gaussians(**{name: torch.from_numpy(array) for name, array in arrays.items()})
+
 
 def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
     """The Gaussians (float32) and the background [3], None if the file lacks it.
@@ -113,16 +122,9 @@ def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
     """
     import torch
 
-    from framework.types import Gaussians
-
     splats = read_splats(path)
-    tensors = {
-        field.name: torch.from_numpy(getattr(splats, field.name))
-        for field in fields(splats)
-        if field.name != "background"
-    }
-    background = splats.background
-    return Gaussians(**tensors), None if background is None else torch.tensor(background)
+    background = None if splats.background is None else torch.tensor(splats.background)
+    return splats.gaussians(), background
 
 
 def read_splats(path: Path) -> Splats:

@@ -9,8 +9,6 @@ Speed is the mean over the last seconds, so that compilation and the coarse phas
 the time left. Nothing here touches training: a run is the same with any `Progress`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os
@@ -20,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol, TextIO
+from typing import TextIO
 
 SPEED_WINDOW_S = 5.0
 TTY_PERIOD_S = 0.2
@@ -54,14 +52,15 @@ def unwarned() -> Iterator[None]:
         logging.disable(before)
 
 
-class Progress(Protocol):
-    """The listener that `run_experiment` reports to."""
+class Progress:
+    """The listener that `run_experiment` reports to; this one shows nothing."""
 
     def stage(self, what: str) -> None:
         """A part other than training begins, for instance "plane-sweep depth"."""
 
     def compiling(self, what: str) -> None:
         """`what` is compiled now; only the first run of a checkout waits for it."""
+        self.stage(f"compiling {what}")
 
     def step(
         self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
@@ -79,20 +78,8 @@ class Progress(Protocol):
         """The run is over; `text` is its result."""
 
 
-class Silent:
+class Silent(Progress):
     """Shows nothing; for tests and library use."""
-
-    def stage(self, what: str) -> None: ...
-
-    def compiling(self, what: str) -> None: ...
-
-    def step(
-        self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
-    ) -> None: ...
-
-    def note(self, text: str) -> None: ...
-
-    def done(self, text: str) -> None: ...
 
 
 class Parts:
@@ -114,7 +101,7 @@ class Parts:
             self._whole.step(sum(self._done), self._n_steps, loss, gaussians, psnr)
 
 
-class Part(Silent):
+class Part(Progress):
     """The part `index` of `parts`; its training calls `check` at every step."""
 
     def __init__(self, parts: Parts, index: int, check: Callable[[], None]) -> None:
@@ -127,7 +114,35 @@ class Part(Silent):
         self._parts.step(self._index, step, loss, gaussians, psnr)
 
 
-class Terminal:
+class Line:
+    """The last line of a stream; on a terminal it is replaced in place."""
+
+    def __init__(self, stream: TextIO, in_place: bool | None = None) -> None:
+        self._stream = stream
+        self.in_place = stream.isatty() if in_place is None else in_place
+        self._start = "\r\x1b[K" if self.in_place else ""
+
+    def show(self, text: str) -> None:
+        """A line that the next one may replace."""
+        if self.in_place:
+            columns = shutil.get_terminal_size().columns - 1
+            self._write(f"{self._start}{text[:columns]}")
+        else:
+            self.keep(text)
+
+    def keep(self, text: str) -> None:
+        """A line that stays."""
+        self._write(f"{self._start}{text}\n")
+
+    def _write(self, text: str) -> None:
+        try:
+            self._stream.write(text)
+            self._stream.flush()
+        except BrokenPipeError:
+            unread(self._stream)
+
+
+class Terminal(Progress):
     """Writes to `stream`: in place if `in_place`, else a line every 10 s or 10 % of the steps.
 
     Args:
@@ -145,24 +160,20 @@ class Terminal:
         tested: bool = True,
     ) -> None:
         self._label = label
-        self._stream = stream if stream is not None else sys.stdout
-        self._in_place = self._stream.isatty() if in_place is None else in_place
+        self._line = Line(sys.stdout if stream is None else stream, in_place)
         self._clock, self._tested = clock, tested
         self._marks: deque[tuple[float, int]] = deque()  # (seconds, step), the speed window
         self._told_at = -float("inf")
         self._told_step = 0
 
     def stage(self, what: str) -> None:
-        self._transient(what)
-
-    def compiling(self, what: str) -> None:
-        self._transient(f"compiling {what}")
+        self._line.show(f"{self._label} · {what}")
 
     def note(self, text: str) -> None:
-        self._line(text)
+        self._line.keep(f"{self._label} · {text}")
 
     def done(self, text: str) -> None:
-        self._line(text)
+        self.note(text)
 
     def step(
         self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
@@ -183,7 +194,7 @@ class Terminal:
         parts += [f"loss {loss:.4f}", f"{gaussians} Gaussians"]
         if speed is not None:
             parts.append(f"{speed:.{0 if speed >= 10 else 1}f} steps/s")
-        self._transient(" · ".join(parts))
+        self.stage(" · ".join(parts))
 
     def _mark(self, now: float, step: int) -> None:
         if self._marks and step <= self._marks[-1][1]:  # a new training began
@@ -201,27 +212,7 @@ class Terminal:
         if step < self._told_step:
             self._told_step = 0
         waited = now - self._told_at
-        if self._in_place:
+        if self._line.in_place:
             return waited >= TTY_PERIOD_S or step == n_steps
         covered = step - self._told_step >= PLAIN_SHARE * n_steps
         return waited >= PLAIN_PERIOD_S or covered or step == n_steps
-
-    def _transient(self, text: str) -> None:
-        """A line that the next one may replace."""
-        if not self._in_place:
-            self._line(text)
-            return
-        columns = shutil.get_terminal_size().columns - 1
-        self._write(f"\r\x1b[K{f'{self._label} · {text}'[:columns]}")
-
-    def _line(self, text: str) -> None:
-        """A line that stays."""
-        start = "\r\x1b[K" if self._in_place else ""
-        self._write(f"{start}{self._label} · {text}\n")
-
-    def _write(self, text: str) -> None:
-        try:
-            self._stream.write(text)
-            self._stream.flush()
-        except BrokenPipeError:
-            unread(self._stream)

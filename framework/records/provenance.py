@@ -6,8 +6,6 @@ framework and of the plugins in use, and the package versions. No host name and 
 machine is recorded, except in the user's config.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import importlib.util

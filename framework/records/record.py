@@ -9,7 +9,7 @@ a folder with a complete record is complete.
     point_cloud.ply    the trained Gaussians, see `framework.records.ply`
     cameras.json       its cameras, for viewers; so is transforms.json (`framework.records.cameras`)
     settings.json      a first view and the background (`framework.records.first_view`)
-    photos/            <view>.jpg of the training views (`framework.records.photos`)
+    photos/            <view>.jpg of the training views (`framework.records.run_files`)
     renders/           <view>.png, <view>_truth.png, <view>_error.png (and <view>_mask.png)
 
 The error map is the absolute difference of the two 8-bit images, mean over channels, in the colour
@@ -41,12 +41,11 @@ from framework.files.paths import inside
 from framework.files.whole import Written, difference, following, write_whole
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
-from framework.records.failure import FAILED
 from framework.records.provenance import plain_json, provenance, strict_json
-from framework.records.record_check import check_record
+from framework.records.record_check import check_failure, check_record
 from framework.records.run_files import (
+    EMPTY,
     HISTORY_CSV,
-    LATER,
     METRICS_CSV,
     RENDERS,
     HistoryRow,
@@ -113,8 +112,7 @@ class RunRecord:
         dose: what the method did, by the trainer's own counts, as a flat mapping to numbers and
             texts; empty where none were kept.
         warnings: everything that the run warned about, one line each.
-        files: path within the folder -> bytes and SHA-256 of every other file that the run wrote;
-            empty in older records.
+        files: path within the folder -> bytes and SHA-256 of every other file that the run wrote.
         error: one line, of a failed run.
     """
 
@@ -137,6 +135,18 @@ class RunRecord:
     files: Mapping[str, tuple[int, str]] = field(default_factory=dict)
     status: str = "complete"
     error: str | None = None
+
+    @classmethod
+    def failed(
+        cls,
+        error: str,
+        config: Mapping[str, Any],
+        overrides: Sequence[str],
+        provenance: Mapping[str, Any],
+    ) -> RunRecord:
+        """The record of a run that ended with an error."""
+        words = tuple(overrides)
+        return cls("", config, words, None, {}, provenance, status="failed", error=error)
 
     @property
     def seed(self) -> int:
@@ -179,8 +189,8 @@ class Run:
 
     run_dir: Path
     record: RunRecord
-    metrics: Table
-    history: Table
+    metrics: Table = EMPTY
+    history: Table = EMPTY
 
 
 def write_run(
@@ -272,16 +282,7 @@ def write_failed(
     error = printable_line(" ".join(error.split()))
     content = {"error": error, "kind": kind, "overrides": list(overrides), "again": again}
     write_whole(run_dir / FAILED, strict_json(content, indent=2) + "\n")
-    record = RunRecord(
-        identity="",
-        config=config,
-        overrides=tuple(overrides),
-        scene=None,
-        timings={},
-        provenance=provenance(),
-        status="failed",
-        error=error,
-    )
+    record = RunRecord.failed(error, config, overrides, provenance())
     if not _is_complete(run_dir):
         write_record(run_dir, record)
     return record
@@ -318,7 +319,7 @@ def read_run(run_dir: Path) -> Run:
     """
     record = read_record(run_dir / RECORD)
     if record.status != "complete":
-        return Run(run_dir, record, Table({}, {}), Table({}, {}))
+        return Run(run_dir, record)
     try:
         metrics, history = (read_table(run_dir / name) for name in (METRICS_CSV, HISTORY_CSV))
     except UserError:
@@ -406,11 +407,6 @@ def record_of(content: dict[str, Any]) -> RunRecord:
     check_record(content)
     scene = content["scene"]
     lists = ("training", "test")
-    # older records lack these fields
-    added: dict[str, Any] = {"resumed": 0, "banded": None, "dose": {}, "warnings": [], "files": {}}
-    content = {**added, **content}
-    unmeasured = {name: {"mean": None, "missing": why} for name, why in LATER.items()}
-    summary = content["summary"] and unmeasured | content["summary"]  # a failed run's is empty
     fields = {f.name: content[f.name] for f in dataclasses.fields(RunRecord)}
     return RunRecord(
         **fields
@@ -425,7 +421,41 @@ def record_of(content: dict[str, Any]) -> RunRecord:
             },
             "summary": {
                 name: Missing(entry["missing"]) if entry["mean"] is None else entry["mean"]
-                for name, entry in summary.items()
+                for name, entry in content["summary"].items()
             },
         }
     )
+
+
+FAILED = "failed.json"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A failed run.
+
+    Attributes:
+        error: one line.
+        kind: a word or two.
+        again: the command that repeats the run; "" if unknown.
+    """
+
+    error: str
+    kind: str
+    overrides: tuple[str, ...]
+    again: str
+
+
+def read_failure(run_dir: Path) -> Failure:
+    """Raises UserError when the file is missing or damaged."""
+    path = run_dir / FAILED
+    content = read_json(path, RUN_BYTES)
+    try:
+        check_failure(content)
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(
+            f"{path}: expected the error of a failed run, got a damaged file"
+            f" ({type(error).__name__}: {error}); delete that folder and run again"
+        ) from error
+    overrides = tuple(content["overrides"])
+    return Failure(content["error"], content["kind"], overrides, content["again"])

@@ -5,8 +5,6 @@ Texts are whole and of bounded length already (`framework.files.documents`). Num
 enough for the report's sums of squares to be finite.
 """
 
-from __future__ import annotations
-
 import re
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,48 +15,27 @@ from framework.options import TrainerOptions
 
 STEM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,199}")  # as `run_files.file_stems` writes them
 TAGS = re.compile(r"[A-Za-z0-9_-]{0,40}( [A-Za-z0-9_-]{1,40}){0,8}")
-DIGEST, SHA256 = re.compile(r"[0-9a-f]{0,64}"), re.compile(r"[0-9a-f]{64}")
 NAME_LENGTH = 255  # of a scene or a choice: as of a folder
 GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
-FACTS = (
-    "fishersplat",
-    "python",
-    "code",
-    "cpu",
-    "system",
-    "bits",
-    "gpu",
-    "cuda",
-    "gsplat",
-)  # of the provenance: texts
-COUNTS = ("cores", "threads")
+FACTS = ("fishersplat", "python", "code", "cpu", "system", "bits", "gpu", "cuda", "gsplat")
 TRAINER = typing.get_type_hints(TrainerOptions)
+EACH = "each"  # stands for every key of a mapping
+Test = Callable[[Any], object]  # of a value: whether it is as a run writes it
+Rule = Test | Mapping[str, Any]  # or the rules of a mapping's fields
 
 
 def check_record(content: Any) -> None:
     """Raise ValueError, naming the field, unless every field that is read has its type."""
-    _check("the record", content, isinstance(content, Mapping))
-    for key, good in FIELDS.items():
-        _check(key, content[key], good(content[key]))
-    for key, good in ADDED.items():  # older records lack these
-        _check(key, content.get(key), key not in content or good(content[key]))
+    _check_rule("the record", content, RECORD_RULES)
+    if content["scene"] is not None:
+        _check_rule("scene", content["scene"], SCENE_RULES)
     check_config(content["config"], complete=content["status"] == "complete")
     _check("config.seed", content["config"].get("seed"), "seed" in content["config"])
-    _check_provenance(content["provenance"])
-    _check_dose(content.get("dose", {}))
-    _check_files(content.get("files", {}))
-    _check_scene(content["scene"])
-    _check_timings(content["timings"])
-    _check_summary(content["summary"])
 
 
 def check_failure(content: Any) -> None:
     """The same of a `failed.json`."""
-    _check("the content", content, isinstance(content, Mapping))
-    _check("error", content["error"], isinstance(content["error"], str))
-    _check("kind", content.get("kind", ""), isinstance(content.get("kind", ""), str))
-    _check("overrides", content["overrides"], are_texts(content["overrides"]))
-    _check("again", content.get("again", ""), isinstance(content.get("again", ""), str))
+    _check_rule("the content", content, FAILURE_RULES)
 
 
 def check_config(config: Any, complete: bool) -> None:
@@ -74,7 +51,7 @@ def check_config(config: Any, complete: bool) -> None:
     for group, options in config.items():
         _check_options(f"config.{group}", options)
     path = (config.get("scene") or {}).get("path")
-    _check("config.scene.path", path, path is None or isinstance(path, str))
+    _check("config.scene.path", path, path is None or _is_text(path))
     trainer = config.get("trainer", None if complete else {})
     _check("config.trainer", trainer, isinstance(trainer, Mapping))
     for name, value in trainer.items():
@@ -106,88 +83,30 @@ def check_number(name: str, value: float) -> None:
 
 def are_texts(value: Any) -> bool:
     """Whether it is a list of texts."""
-    return isinstance(value, list) and all(isinstance(text, str) for text in value)
-
-
-def _check_provenance(provenance: Any) -> None:
-    _check("provenance", provenance, isinstance(provenance, Mapping))
-    for key in FACTS:
-        _check(
-            f"provenance.{key}", provenance.get(key), isinstance(provenance.get(key), str | None)
-        )
-    for key in COUNTS:
-        _check(
-            f"provenance.{key}",
-            provenance.get(key),
-            provenance.get(key) is None or _is_count(provenance[key]),
-        )
-    packages, git = provenance.get("packages"), provenance.get("git")
-    plugins = provenance.get("plugins", {})
-    hashes = isinstance(plugins, Mapping) and all(map(_is_line, (*plugins, *plugins.values())))
-    _check("provenance.plugins", plugins, hashes)
-    texts = isinstance(packages, Mapping) and all(
-        isinstance(number, str | None) for number in packages.values()
-    )
-    _check("provenance.packages", packages, packages is None or texts)
-    state = isinstance(git, Mapping) and isinstance(git.get("sha"), str) and "dirty" in git
-    _check("provenance.git", git, git is None or state)
-
-
-def _check_dose(dose: Any) -> None:
-    _check("dose", dose, isinstance(dose, Mapping))
-    for name, value in dose.items():
-        flat = value is None or isinstance(value, bool) or _is_line(value) or _is_number(value)
-        _check(f"dose.{name}", value, flat and _is_line(name))
-
-
-def _check_files(files: Any) -> None:
-    _check("files", files, isinstance(files, Mapping))
-    for name, of in files.items():
-        good = isinstance(of, Mapping) and _is_count(of.get("bytes")) and _is_name(name)
-        _check(f"files.{name}", of, good and SHA256.fullmatch(str(of.get("sha256"))))
-
-
-def _check_scene(scene: Any) -> None:
-    _check("scene", scene, scene is None or isinstance(scene, Mapping))
-    if scene is None:
-        return
-    _check(
-        "scene",
-        list(scene),
-        set(scene) == {"name", "protocol", "fingerprint", *("training", "test")},
-    )
-    for key in ("name", "protocol", "fingerprint"):
-        _check(f"scene.{key}", scene[key], _is_name(scene[key]))
-    for key in ("training", "test"):
-        _check(f"scene.{key}", scene[key], are_texts(scene[key]))
-
-
-def _check_timings(timings: Any) -> None:
-    _check("timings", timings, isinstance(timings, list))
-    for entry in timings:
-        _check("timings", entry, isinstance(entry, Mapping) and isinstance(entry["stage"], str))
-        for key in ("wall_s", "cpu_s"):
-            _check(f"timings.{key}", entry[key], _is_number(entry[key]) and entry[key] >= 0)
-
-
-def _check_summary(summary: Any) -> None:
-    _check("summary", summary, isinstance(summary, Mapping))
-    for name, entry in summary.items():
-        _check(f"summary.{name}", entry, isinstance(entry, Mapping))
-        mean, reason = entry["mean"], entry["missing"]
-        _check(
-            f"summary.{name}", entry, isinstance(reason, str) if mean is None else _is_number(mean)
-        )
-
-
-def _check_all(name: str, values: Iterable[str], good: Callable[[str], object]) -> None:
-    for value in values:
-        _check(name, value, good(value))
+    return isinstance(value, list) and all(map(_is_text, value))
 
 
 def _check(name: str, value: Any, good: object) -> None:
     if not good:
         raise ValueError(f"{name[:60]} is {' '.join(str(value)[:200].split())[:60]!r}")
+
+
+def _check_all(name: str, values: Iterable[str], good: Test) -> None:
+    for value in values:
+        _check(name, value, good(value))
+
+
+def _check_rule(where: str, value: Any, rule: Rule) -> None:
+    """Check a value, and the fields of a mapping; one that is absent counts as None."""
+    if callable(rule):
+        _check(where, value, rule(value))
+        return
+    _check(where, value, isinstance(value, Mapping))
+    prefix = "" if where.startswith("the ") else f"{where}."
+    for key, inner in rule.items():
+        for name in value if key == EACH else [key]:
+            _check(where, name, _is_name(name))
+            _check_rule(f"{prefix}{name}", value.get(name), inner)
 
 
 def _check_options(where: str, options: Any) -> None:
@@ -218,6 +137,10 @@ def _fits(value: Any, declared: Any) -> bool:
     return type(value) in kinds and (type(value) is not int or abs(value) < 2**63)
 
 
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
 def _is_count(value: Any) -> bool:
     return type(value) is int and 0 <= value < 2**63
 
@@ -227,26 +150,77 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_line(value: Any) -> bool:
-    return isinstance(value, str) and "\n" not in value
+    return _is_text(value) and "\n" not in value
 
 
 def _is_name(value: Any) -> bool:
     return _is_line(value) and 0 < len(value) <= NAME_LENGTH and value.strip() != ""
 
 
-FIELDS: dict[str, Callable[[Any], object]] = {
-    "identity": lambda value: isinstance(value, str),
-    "parameters_sha256": lambda value: isinstance(value, str) and DIGEST.fullmatch(value),
+def _is_dose(value: Any) -> bool:
+    return value is None or isinstance(value, bool) or _is_line(value) or _is_number(value)
+
+
+def _is_measurement(value: Any) -> bool:
+    """Return whether it has a mean, or the reason why there is none."""
+    if not isinstance(value, Mapping):
+        return False
+    return _is_text(value["missing"]) if value["mean"] is None else _is_number(value["mean"])
+
+
+def _is_git_state(value: Any) -> bool:
+    return isinstance(value, Mapping) and _is_text(value["sha"]) and "dirty" in value
+
+
+def _is_timing(value: Any) -> bool:
+    seconds = value["wall_s"], value["cpu_s"]
+    return _is_text(value["stage"]) and all(_is_number(s) and s >= 0 for s in seconds)
+
+
+def _optional(good: Test) -> Test:
+    return lambda value: value is None or good(value)
+
+
+def _mapping_to(good: Test) -> Test:
+    return lambda value: isinstance(value, Mapping) and all(map(good, value.values()))
+
+
+def _matching(pattern: str) -> Test:
+    return lambda value: _is_text(value) and re.fullmatch(pattern, value)
+
+
+SCENE_RULES: Rule = {
+    **dict.fromkeys(("name", "protocol", "fingerprint"), _is_name),
+    **dict.fromkeys(("training", "test"), are_texts),
+}
+RECORD_RULES: Rule = {
+    "identity": _is_text,
+    "parameters_sha256": _matching(r"[0-9a-f]{0,64}"),
     "status": lambda value: value in ("complete", "failed"),
     "peak_memory_bytes": _is_count,
     "gaussians": _is_count,
     "sh_degree": lambda value: _is_count(value) and value <= 10,
-    "ply_bytes": _is_count,
-    "error": lambda value: value is None or _is_line(value),
-    "overrides": are_texts,
-}
-ADDED: dict[str, Callable[[Any], object]] = {
-    "banded": lambda value: value is None or _is_count(value),
+    "banded": _optional(_is_count),
     "resumed": _is_count,
+    "ply_bytes": _is_count,
+    "error": _optional(_is_line),
+    "overrides": are_texts,
     "warnings": are_texts,
+    "provenance": {
+        **dict.fromkeys(FACTS, _optional(_is_text)),
+        **dict.fromkeys(("cores", "threads"), _optional(_is_count)),
+        "plugins": _optional(_mapping_to(_is_line)),
+        "packages": _optional(_mapping_to(_optional(_is_text))),
+        "git": _optional(_is_git_state),
+    },
+    "dose": {EACH: _is_dose},
+    "files": {EACH: {"bytes": _is_count, "sha256": _matching(r"[0-9a-f]{64}")}},
+    "timings": lambda value: isinstance(value, list) and all(map(_is_timing, value)),
+    "summary": {EACH: _is_measurement},
+}
+FAILURE_RULES: Rule = {
+    "error": _is_text,
+    "kind": _is_text,
+    "overrides": are_texts,
+    "again": _is_text,
 }

@@ -42,8 +42,6 @@ EXPORT, PICTURES = "export", "pictures"  # folders of `fishersplat export` and `
 EXPORTED = ("ply", "compressed.ply", "spz", "splat", "sog")  # endings of `EXPORT`/scene
 SOFTWARE, WRITER = "Software", "fishersplat render"  # written into each picture of `PICTURES`
 METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
-# metrics that older runs do not have, and why
-LATER = {"lpips_01": "the run was recorded before this was measured"}
 TEXT_COLUMNS = ("view", "tags", "file", "missing")
 COUNT_COLUMNS = ("step", "gaussians", "sh_degree")
 LOGGED = "log/"  # begins the columns of what plugins log
@@ -61,6 +59,9 @@ class Table:
 
     texts: Mapping[str, list[str]]
     numbers: Mapping[str, np.ndarray]
+
+
+EMPTY = Table({}, {})
 
 
 @dataclass(frozen=True)
@@ -102,24 +103,33 @@ def metrics_csv(metrics: Sequence[ViewMetrics], stems: Sequence[str]) -> str:
     for entry, stem in zip(metrics, stems, strict=True):
         values = {name: entry.value(name) for name in (*METRICS, *entry.also)}
         reasons = {k: v.reason for k, v in values.items() if isinstance(v, Missing)}
-        numbers = [None if isinstance(v, Missing) else v for v in values.values()]
-        explained = json.dumps(reasons) if reasons else None
-        main_metrics, others = numbers[: len(METRICS)], numbers[len(METRICS) :]
-        cells = [entry.view, " ".join(entry.tags), *main_metrics, entry.render_s, stem, explained]
-        rows.append([*cells, *others])
+        row: dict[str, object] = {k: v for k, v in values.items() if k not in reasons}
+        row |= {"view": entry.view, "tags": " ".join(entry.tags), "render_s": entry.render_s}
+        row |= {"file": stem, "missing": json.dumps(reasons) if reasons else ""}
+        rows.append(row)
     also = metrics[0].also if metrics else {}
-    return _csv([*METRIC_COLUMNS, *also], rows)
+    return csv_text(rows, [*METRIC_COLUMNS, *also])
 
 
 def history_csv(history: Sequence[HistoryRow]) -> str:
     """One row per logged step; logged names become columns, sorted."""
-    names = sorted({name for row in history for name in row.logged})
-    rows = [
-        [_finite(getattr(row, column)) for column in HISTORY_COLUMNS]
-        + [_finite(row.logged.get(name)) for name in names]
-        for row in history
-    ]
-    return _csv([*HISTORY_COLUMNS, *(f"{LOGGED}{name}" for name in names)], rows)
+    names = sorted({f"{LOGGED}{name}" for row in history for name in row.logged})
+    rows = []
+    for row in history:
+        cells = {column: _finite(getattr(row, column)) for column in HISTORY_COLUMNS}
+        logged = {f"{LOGGED}{name}": _finite(value) for name, value in row.logged.items()}
+        rows.append({**cells, **logged})
+    return csv_text(rows, [*HISTORY_COLUMNS, *names])
+
+
+def csv_text(rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()) -> str:
+    """A table of these columns, by default those of the first row."""
+    buffer = io.StringIO()
+    names = columns or list(rows[0])
+    writer = csv.DictWriter(buffer, names, lineterminator="\n", extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows(rows)
+    return buffer.getvalue()
 
 
 def read_table(path: Path) -> Table:
@@ -132,9 +142,8 @@ def read_table(path: Path) -> Table:
     """
     columns, *rows = list(csv.reader(io.StringIO(read_text(path, RUN_BYTES), newline="")))
     needed = METRIC_COLUMNS if path.name == METRICS_CSV else HISTORY_COLUMNS
-    check_columns(columns, [name for name in needed if name not in LATER])
+    check_columns(columns, needed)
     cells = {name: [row[index] for row in rows] for index, name in enumerate(columns)}
-    cells |= {name: [""] * len(rows) for name in needed if name not in cells}
     check_stems(cells.get("file", []))
     check_views(cells.get("view", []), cells.get("tags", []))
     texts = {name: column for name, column in cells.items() if name in TEXT_COLUMNS}
@@ -217,9 +226,26 @@ def _png(pixels: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-def _csv(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    return buffer.getvalue()
+PHOTOS = "photos"
+QUALITY = 90
+
+
+def photo_files(names: Sequence[str]) -> list[str]:
+    """Where the photos of the training views `names`, in the order of a run's record, lie in its
+    folder."""
+    return [f"{PHOTOS}/{stem}.jpg" for stem in file_stems(names)]
+
+
+def write_photos(run_dir: Path, training: Sequence[View]) -> None:
+    """Write them."""
+    files = [run_dir / name for name in photo_files([view.name for view in training])]
+    pairs = zip(files, training, strict=True)
+    run_tasks([functools.partial(_write, file, view) for file, view in pairs])
+
+
+def _write(file: Path, view: View) -> None:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(quantise(view.image)).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
+    write_whole(file, buffer.getvalue())

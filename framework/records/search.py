@@ -3,8 +3,6 @@
 `framework.command.search` writes it, the report shows it. Only data: a forged file is refused.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

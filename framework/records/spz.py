@@ -15,8 +15,6 @@ The axes are right, up and back; the result has those of a splat PLY: right, dow
 Source: nianticlabs/spz, load-spz.cc.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From the folders of one or more studies to a report: load, compare, find, render."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -15,7 +13,6 @@ from framework.report import literature, stress, tables
 from framework.report.export import (
     TABLE,
     results_files,
-    results_markdown,
     runs_archive,
     runs_csv,
 )
@@ -24,10 +21,10 @@ from framework.report.figures.charts import cost_charts, curves, has_members, st
 from framework.report.figures.forest import forest_of, forest_picture
 from framework.report.figures.pictures import draw_closeup, remove_pictures
 from framework.report.figures.views import own_scenes
-from framework.report.findings import Findings, cost_of, find, largest_effect
+from framework.report.findings import Findings, find, largest_effect
 from framework.report.gallery import gallery
 from framework.report.provenance import provenance
-from framework.report.render import Page, render, render_page, say
+from framework.report.render import Page, publish, say
 from framework.report.study import notes
 from framework.report.study.collect import collect, run_dirs
 from framework.report.study.methods import learned_footnote
@@ -35,7 +32,7 @@ from framework.report.study.published import bibtex
 from framework.report.study.study import Study
 from framework.report.study.words import outside
 
-REPORT, PAGE = "report.md", "report.html"
+REPORT = "report.md"
 MOST_NAMED = 8  # differences that are not significant, in the verdict
 
 
@@ -115,7 +112,7 @@ def _keep_other_archive(study: Study) -> None:
         return
     present = {folder.name for folder in run_dirs(study.out_dir)}
     present |= {run.run.run_dir.name for run in study.runs}
-    present |= {run.run_dir.name for run in study.failed}
+    present |= {run.run.run_dir.name for run in study.failed}
     archived = {entry.run.run_dir.name for entry in read_archive(study.out_dir)}
     lost = sorted(archived - present)
     require(
@@ -139,17 +136,14 @@ def _build(study: Study, title: str | None, photos: bool) -> Report:
     with ThreadPoolExecutor(1) as executor:  # photos are encoded while charts are drawn
         shots = executor.submit(gallery, study, visible)
         context = _context(findings, visible)
-        data = {**shots.result().data, "beside": False}
+        data = {**shots.result(), "beside": False}
     heading = outside(title or study.out_dir.resolve().name)
     page = Page(heading, study.out_dir, study.families, study.scenes, data)
-    files = {
-        PAGE: render_page("report.jinja", page, **context),
-        REPORT: render("report.jinja", "markdown", page, **context),
-        ARCHIVE: runs_archive(study),
-    }
+    files = {ARCHIVE: runs_archive(study)}
     if study.runs:
         files[TABLE] = runs_csv(study)
         files |= results_files(context["results"]) if context["results"] else {}
+    publish("report.jinja", study.out_dir / REPORT, page, context)
     for name, content in files.items():
         write_whole(study.out_dir / name, content)
     macro = "stress_verdict" if findings.panels else "verdict"
@@ -167,7 +161,6 @@ def _context(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "learned_footnote": learned_footnote,
         "largest_effect": largest_effect,
         "capacity_text": tables.capacity_text,
-        "cost_of": cost_of,
         "heading_of": tables.heading_of,
         "MOST_NAMED": MOST_NAMED,
         "literature": literature,
@@ -191,7 +184,6 @@ def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         missing.setdefault((scene, method), []).append(seed)
     return {
         "results": results,
-        "results_markdown": results_markdown(results) if results else "",
         "shown": shown,
         "hidden": [] if study.archived else hidden,
         "missing": missing,

@@ -2,20 +2,19 @@
 
 A configuration is a method with its budget. It is on the Pareto front of a scene if no other one is
 at least as good at no higher cost. Configurations may lack seeds, so they are ranked by their
-difference to the configuration with the most seeds, over common seeds. A configuration is *worth
-its cost* if it is the cheapest of the front, or significantly better than the last cheaper one that
-is (paired t test, corrected for all others of the scene).
+difference to the configuration with the most seeds, over common seeds. The cheapest configuration
+of the front is *worth its cost*. Another one is if it is significantly better than the last cheaper
+one that is (paired t test, corrected for all others of the scene).
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
 from framework.report.statistics.compare import Comparison, compare
-from framework.report.statistics.estimates import Spread, spread
+from framework.report.statistics.estimates import Estimate, estimate
 from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import by_pair
 from framework.report.study.methods import Method
@@ -24,6 +23,8 @@ from framework.report.study.study import ReportRun, Study
 SAME_COST = 0.02  # costs that differ by a smaller share count as equal
 AS_GOOD_DB = 0.1  # a mean at most this far below the best counts as good
 LIMITS_S = (15.0, 60.0, 300.0)
+train_s, gaussians, megabytes = map(attrgetter, ("train_s", "gaussians", "megabytes"))
+_gain = attrgetter("gain")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class Entry:
     """
 
     method: Method
-    psnr: Spread
+    psnr: Estimate
     train_s: float
     gaussians: float
     megabytes: float
@@ -66,7 +67,7 @@ def entries(study: Study, scene: str) -> list[Entry]:
             continue
         size = float(np.mean([run.record.ply_bytes for run in runs])) / 1e6
         count = float(np.mean([run.record.gaussians for run in runs]))
-        rows.append(Entry(method, spread(psnr), seconds, count, size, (*runs,)))
+        rows.append(Entry(method, estimate(psnr), seconds, count, size, (*runs,)))
     most = max(rows, key=lambda entry: entry.psnr.n, default=None)
     return [replace(entry, gain=above(entry, most)) for entry in rows] if most else []
 
@@ -118,22 +119,6 @@ def paying(options: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int
         if better(options[k], options[kept[-1]], len(options) - 1):
             kept.append(k)
     return kept
-
-
-def train_s(entry: Entry) -> float:
-    return entry.train_s
-
-
-def gaussians(entry: Entry) -> float:
-    return entry.gaussians
-
-
-def megabytes(entry: Entry) -> float:
-    return entry.megabytes
-
-
-def _gain(entry: Entry) -> float:
-    return entry.gain
 
 
 def differs(costs: Sequence[float]) -> bool:

@@ -1,28 +1,21 @@
 """For further use: `runs.csv`, one row per complete run; `runs.jsonl`, the archive; and the table
 for a paper, `results` as LaTeX (package booktabs), Markdown and CSV."""
 
-from __future__ import annotations
-
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
-
-from tabulate import tabulate
 
 from framework.metrics.values import METRICS
 from framework.records.archive import Entry, archive
 from framework.records.provenance import NEUTRAL_KEYS
-from framework.records.record import Run, RunRecord
-from framework.records.run_files import Table
+from framework.records.run_files import csv_text
 from framework.report.provenance import code_of
-from framework.report.render import tex
+from framework.report.render import pipe_table, tex
 from framework.report.study.axes import VIEWS
 from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.plugins import with_defaults
-from framework.report.study.study import FailedRun, ReportRun, Study
+from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import flatten, outside
-from framework.report.tables import Result, heading_of
+from framework.report.tables import Result, heading_of, results_rows
 
 TABLE, RESULTS = "runs.csv", "results"
 ALSO, DOSE = "also.", "dose."  # begin the columns of plugins' metrics and of what the method did
@@ -31,24 +24,8 @@ Results = Mapping[Method, Mapping[str, Result | None]]
 
 def runs_archive(study: Study) -> str:
     """All runs of the study, complete and failed, as `framework.records.archive` describes."""
-    failed = [run for run in study.failed if "seed" in run.config]  # others left no record
-    entries = [Entry(run.run) for run in study.runs]
-    return archive([*entries, *map(_failed_entry, failed)])
-
-
-def _failed_entry(run: FailedRun) -> Entry:
-    record = RunRecord(
-        identity="",
-        config=run.config,
-        overrides=run.overrides,
-        scene=None,
-        timings={},
-        provenance=run.provenance,
-        status="failed",
-        error=run.error,
-    )
-    empty = Table({}, {})
-    return Entry(Run(run.run_dir, record, empty, empty), run.kind, run.again)
+    failed = [run for run in study.failed if run.seed is not None]  # others left no record
+    return archive([*(Entry(run.run) for run in study.runs), *failed])
 
 
 def runs_csv(study: Study) -> str:
@@ -71,13 +48,8 @@ def runs_csv(study: Study) -> str:
     ]
     labels = ["scene", "method", "seed"]
     columns = [*labels, *differs, *(name for name in _columns(measured) if name not in labels)]
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, columns, lineterminator="\n", extrasaction="ignore")
-    writer.writeheader()
-    writer.writerows(
-        [{**row_options, **row} for row_options, row in zip(options, measured, strict=True)]
-    )
-    return buffer.getvalue()
+    rows = [{**chosen, **row} for chosen, row in zip(options, measured, strict=True)]
+    return csv_text(rows, columns)
 
 
 def _columns(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -118,33 +90,18 @@ def results_files(results: Results) -> dict[str, str]:
     context = {"results": results, "metrics": metrics, "footnote": footnote}
     return {
         f"{RESULTS}.tex": tex("results.tex.jinja", **context, heading_of=heading_of),
-        f"{RESULTS}.md": f"{results_markdown(results)}\n\n{footnote}".strip() + "\n",
+        f"{RESULTS}.md": f"{pipe_table(results_rows(results))}\n\n{footnote}".strip() + "\n",
         f"{RESULTS}.csv": _results_csv(results, metrics),
     }
 
 
-def results_markdown(results: Results) -> str:
-    """The table with bold for the best and `<u>` for the second best."""
-    marks = {1: "**{}**", 2: "<u>{}</u>"}
+def _results_csv(results: Results, metrics: list[str]) -> str:
     rows = []
     for method, columns in results.items():
-        row = {"Method": method.name.replace("|", "\\|").replace("<", "\\<")}
-        for metric, r in columns.items():
-            text = "–" if r is None else marks.get(r.rank, "{}").format(r.text)
-            sigma = f" ± {r.sigma_text}" if r is not None and r.sigma_text else ""
-            row[heading_of(metric)] = text + sigma
+        row = {"method": method.name}
+        for metric in metrics:
+            result = columns[metric]
+            row[metric] = result.text if result else ""
+            row[f"{metric}_sigma"] = result.sigma_text if result else ""
         rows.append(row)
-    align = ["left", *["right"] * (len(rows[0]) - 1)]
-    return tabulate(rows, "keys", tablefmt="pipe", disable_numparse=True, colalign=align)
-
-
-def _results_csv(results: Results, metrics: list[str]) -> str:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    names = [name for metric in metrics for name in (metric, f"{metric}_sigma")]
-    writer.writerow(["method", *names])
-    for method, columns in results.items():
-        cells = [columns[metric] for metric in metrics]
-        pairs = [(r.text, r.sigma_text) if r else ("", "") for r in cells]
-        writer.writerow([method.name, *(text for pair in pairs for text in pair)])
-    return buffer.getvalue()
+    return csv_text(rows)

@@ -4,18 +4,17 @@ A difference is claimed where its interval excludes zero, and the interval is th
 charts draw: corrected for all comparisons of the report.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
 from framework.report import stress
 from framework.report.costs import Cheapest, Choice, cheapest, choices, one_machine
 from framework.report.statistics.compare import Comparison, compare, corrected
-from framework.report.statistics.estimates import Interval, Spread
+from framework.report.statistics.estimates import Estimate, Interval
 from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import Outcomes, by_pair, outcomes
 from framework.report.statistics.variance import SigmaComparison
@@ -25,6 +24,7 @@ from framework.report.study.scenes import CHOSE, HELPED, TESTS, YOURS, role
 from framework.report.study.study import ReportRun, Study
 
 ACTED, ENOUGH = "acted_share", 0.5  # of a method's dose; a smaller share was hardly tested
+T = TypeVar("T")
 METHOD_WORDS = ("method", "augment", "reg", "seed", "study")
 
 
@@ -44,18 +44,7 @@ class Verdict:
     method: Method = PLAIN
     comparison: Comparison | None = None
     others: tuple[Method, ...] = ()
-    spread: Spread | None = None
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What the trainings of a method took, means over its runs; None if a run lacks the time."""
-
-    method: Method
-    wall_s: float | None
-    cpu_s: float | None
-    gaussians: float
-    parameters: float
+    spread: Estimate | None = None
 
 
 @dataclass(frozen=True)
@@ -138,18 +127,17 @@ class Findings:
     @cached_property
     def choices(self) -> dict[str, list[Choice]]:
         """Scene -> which configuration to take for a given time."""
-        if self.panels:
-            return {}
-        by_scene = {scene: choices(self.study, scene) for scene in self.study.tested}
-        return {scene: answer for scene, answer in by_scene.items() if answer}
+        return self._of_scenes(choices)
 
     @cached_property
     def cheapest(self) -> dict[str, Cheapest]:
         """Scene -> the cheapest configurations that are as good as the best."""
-        if self.panels:
-            return {}
-        by_scene = {scene: cheapest(self.study, scene) for scene in self.study.tested}
-        return {scene: answer for scene, answer in by_scene.items() if answer}
+        return self._of_scenes(cheapest)
+
+    def _of_scenes(self, answer: Callable[[Study, str], T | None]) -> dict[str, T]:
+        scenes = [] if self.panels else self.study.tested
+        answers = {scene: answer(self.study, scene) for scene in scenes}
+        return {scene: value for scene, value in answers.items() if value}
 
     @property
     def advised_budgets(self) -> list[Choice]:
@@ -164,9 +152,9 @@ class Findings:
         return self.study.has_budgets and any(one_machine(self.study, s) for s in scenes)
 
     @cached_property
-    def costs(self) -> list[Cost]:
-        """Costs of the advised method and of its baseline, or of the best other method. With
-        several budgets these are the cheapest and the most expensive.
+    def costed(self) -> list[Method]:
+        """The methods to name the costs of: the advised one and its baseline, or the best other
+        one. With several budgets these are the cheapest and the most expensive.
         """
         result = self.outcomes
         if not result.psnr:
@@ -175,13 +163,14 @@ class Findings:
         methods = [best, self.study.baseline_of(best)]
         if self.study.has_budgets:
             family = [m for m in result.psnr if m.family == best.family]
-            costs = [cost_of(m, self.study.of(method=m)) for m in family]
-            measured = sorted((c for c in costs if c.cpu_s), key=lambda cost: cost.cpu_s or 0.0)
+            runs = {m: self.study.of(method=m) for m in family}
+            cpu_s = {m: average([run.record.train_cpu_s for run in runs[m]]) for m in family}
+            measured = sorted((m for m in family if cpu_s[m]), key=lambda m: cpu_s[m] or 0.0)
             return list(dict.fromkeys([measured[0], measured[-1]])) if measured else []
         if methods[0] == methods[1] and result.comparisons:
             comparisons = result.comparisons
             methods[1] = max(comparisons, key=lambda m: comparisons[m].difference)
-        return [cost_of(m, self.study.of(method=m)) for m in dict.fromkeys(methods)]
+        return list(dict.fromkeys(methods))
 
     @property
     def steadiness(self) -> list[SigmaComparison]:
@@ -284,17 +273,6 @@ def _of_baseline(study: Study, outcomes: Outcomes) -> Verdict:
     if study.rival:
         return Verdict("rival", study.baseline)
     return Verdict("own baselines" if gains else "baseline", study.baseline)
-
-
-def cost_of(method: Method, runs: Sequence[ReportRun]) -> Cost:
-    """The mean cost over some runs of a method."""
-    return Cost(
-        method,
-        average([run.record.train_s for run in runs]),
-        average([run.record.train_cpu_s for run in runs]),
-        average([float(run.record.gaussians) for run in runs]) or 0.0,
-        average([float(run.record.parameters) for run in runs]) or 0.0,
-    )
 
 
 def contests(study: Study) -> list[Contest]:

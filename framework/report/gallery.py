@@ -7,11 +7,8 @@ Error maps are mostly noise, so `LONGEST_ERROR` applies to them. Every number of
 computed from the originals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from framework.files.limits import IMAGE_BYTES
@@ -36,62 +33,71 @@ LONGEST, LONGEST_ERROR = 480, 240
 
 
 @dataclass
-class Gallery:
-    """The data of the viewer.
+class _Album:
+    """The copies of a page.
 
     Attributes:
         images: data URIs.
-        shots: scene, method, seed, view, PSNR as text, indices of truth, render and error in
-            `images`, and index of the method.
-        looks: scene, method, seed, text and target of links to other views of that run.
-        videos: scene, method, seed and data URI of the small video of a method's first run.
-        size: bytes before base64, without videos.
-        left_out: number of shots that did not fit.
+        size: bytes before base64.
+        indices: file content -> its index in `images`.
     """
 
     images: list[str] = field(default_factory=list)
-    shots: list[tuple[str, str, int, str, str, int, int, int, int]] = field(default_factory=list)
-    looks: list[tuple[str, str, int, str, str]] = field(default_factory=list)
-    videos: list[tuple[str, str, int, str]] = field(default_factory=list)
     size: int = 0
-    left_out: int = 0
+    indices: dict[bytes, int] = field(default_factory=dict)
 
-    @property
-    def data(self) -> dict[str, Any]:
-        """For the page's script."""
-        kinds = ("images", "shots", "looks", "videos", "left_out")
-        return {name: getattr(self, name) for name in kinds} | {"longest": LONGEST}
+    def add(self, run: ReportRun, view: str, kind: str) -> int:
+        """Index of the image's copy; equal files are kept once."""
+        original = read_bytes(image_file(run, view, kind), IMAGE_BYTES)
+        if original not in self.indices:
+            longest = LONGEST_ERROR if kind == "error" else LONGEST
+            copy = webp_bytes(picture(run, view, kind), longest)
+            self.size += len(copy)
+            self.images.append(data_uri(copy))
+            self.indices[original] = len(self.images) - 1
+        return self.indices[original]
 
 
-def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
-    """The pictures of all complete runs on `scenes`, as far as they fit."""
-    pictures = Gallery()
-    copies: dict[bytes | Path, int] = {}
-    for run in study.runs if scenes else ():
-        for text, names in (("in 3D", (VIEW,)), ("video", VIDEOS)):
-            link = run_link(study, run, text, names) if run.scene in scenes else None
-            if link is not None:
-                look = (run.scene, run.method.name, run.seed, link.text, link.target)
-                pictures.looks.append(look)
-    pictures.videos = list(_videos(study, scenes))
+def gallery(study: Study, scenes: Sequence[str]) -> dict[str, Any]:
+    """The pictures of all complete runs on `scenes`, as far as they fit, for the page's script.
+
+    Returns:
+        `images`: data URIs.
+        `shots`: scene, method, seed, view, PSNR as text, indices of truth, render and error in
+        `images`, and index of the method.
+        `looks`: scene, method, seed, text and target of links to other views of that run.
+        `videos`: scene, method, seed and data URI of the small video of a method's first run.
+        `left_out`: number of shots that did not fit.
+        `longest`: pixels of a copy's longer side.
+    """
+    album, shots, left_out = _Album(), [], 0
     most = min(MOST_BYTES, max(FEWEST_BYTES, BYTES_PER_RUN * len(study.runs)))
     for layer in _layers(study, scenes):
-        if pictures.size >= most or len(pictures.images) >= MOST_IMAGES:
-            pictures.left_out += len(layer)
+        if album.size >= most or len(album.images) >= MOST_IMAGES:
+            left_out += len(layer)
             continue
         for run, view in layer:
-            truth = image_file(run, view, "truth")
-            if truth not in copies:
-                copies[truth] = _add(pictures, run, view, "truth", copies)
-            indices = (
-                copies[truth],
-                _add(pictures, run, view, "render"),
-                _add(pictures, run, view, "error", longest=LONGEST_ERROR),
-                study.families.index(run.method.family),
-            )
+            indices = [album.add(run, view, kind) for kind in ("truth", "render", "error")]
             name = (run.scene, run.method.name, run.seed, outside(view), psnr_text(run, view))
-            pictures.shots.append((*name, *indices))
-    return pictures
+            shots.append((*name, *indices, study.families.index(run.method.family)))
+    return {
+        "images": album.images,
+        "shots": shots,
+        "looks": _looks(study, scenes),
+        "videos": list(_videos(study, scenes)),
+        "left_out": left_out,
+        "longest": LONGEST,
+    }
+
+
+def _looks(study: Study, scenes: Sequence[str]) -> list[tuple[str, str, int, str, str]]:
+    return [
+        (run.scene, run.method.name, run.seed, link.text, link.target)
+        for run in study.runs
+        if run.scene in scenes
+        for text, names in (("in 3D", (VIEW,)), ("video", VIDEOS))
+        if (link := run_link(study, run, text, names)) is not None
+    ]
 
 
 def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int, str]]:
@@ -121,23 +127,3 @@ def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRu
                     ranked.setdefault((seed_rank, view_rank), []).append((run, view))
     for rank in sorted(ranked):
         yield ranked[rank]
-
-
-def _add(
-    pictures: Gallery,
-    run: ReportRun,
-    view: str,
-    kind: str,
-    copies: dict[bytes | Path, int] | None = None,
-    longest: int = LONGEST,
-) -> int:
-    """Index of the image's copy; equal files are kept once if `copies` is given."""
-    original = read_bytes(image_file(run, view, kind), IMAGE_BYTES)
-    if copies is not None and original in copies:
-        return copies[original]
-    copy = webp_bytes(picture(run, view, kind), longest)
-    pictures.size += len(copy)
-    pictures.images.append(data_uri(copy))
-    if copies is not None:
-        copies[original] = len(pictures.images) - 1
-    return len(pictures.images) - 1

@@ -5,11 +5,8 @@ Instead, every method is compared with the baseline of the same study: significa
 significantly worse, or neither, each with the interval of that report.
 """
 
-from __future__ import annotations
-
-import csv
-import io
 import os
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +19,12 @@ from framework.files.whole import make_folder, write_whole
 from framework.records import RUN_FOLDERS
 from framework.records.archive import ARCHIVE
 from framework.records.provenance import ROOT
+from framework.records.run_files import csv_text
 from framework.report.figures.chart import Picture
 from framework.report.figures.forest import Forest, Row, forest_picture
 from framework.report.figures.palette import looks
 from framework.report.main import BASELINE_HELP, tell
-from framework.report.render import Page, render, render_page, say
+from framework.report.render import Page, publish, say
 from framework.report.statistics.compare import Comparison
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import (
@@ -48,6 +46,7 @@ from framework.scenes import HELD_OUT
 REPORT, TABLE = "leaderboard.md", "leaderboard.csv"
 COMMITTED = ROOT / "reports" / "committed"  # the repository's own studies
 MOST_ROWS = 80
+COLUMNS = ("study", "method", "against", "scenes", "seeds", "difference_db", "low", "high", "p")
 RESULTS = {1: "better", 0: "", -1: "worse"}
 
 
@@ -95,6 +94,9 @@ class Match:
         return 1 if self.comparison.difference > 0 else -1
 
 
+Leagues = Sequence[tuple[Method, Sequence[Match]]]
+
+
 def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int, str]:
     """Write the leaderboard of all studies below the folder; returns its path, how many are in it,
     and the verdict. rival: the baseline of the studies that have it.
@@ -111,22 +113,21 @@ def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int
     matches = [match for entry in entries for match in _matches(entry)]
     make_folder(out_dir)
     ranked = [match for match in matches if match.ranked]
+    leagues = _by_league(ranked)
     families = sorted({match.family for match in matches}, key=lambda method: method.order)
     context: dict[str, Any] = {
         "matches": ranked,
-        "better": _counts(ranked, 1),
-        "worse": _counts(ranked, -1),
-        "ranks": _ranks(ranked),
+        "better": _counts(leagues, 1),
+        "worse": _counts(leagues, -1),
+        "ranks": _ranks(leagues),
         "forest": _forest(ranked, families, out_dir),
         "studies": [_study_row(entry, out_dir) for entry in entries],
         "broken": [{"Study": name, "Why": why} for name, why in sorted(broken.items())],
         "rows": [_row(match) for match in matches],
-        "footnote": learned_footnote(_methods(entries)),
+        "footnote": learned_footnote(m for entry in entries for m in entry.study.methods),
     }
     page = Page("Leaderboard", out_dir, families, (), {})
-    content = render_page("leaderboard.jinja", page, **context)
-    write_whole((out_dir / REPORT).with_suffix(".html"), content)
-    write_whole(out_dir / REPORT, render("leaderboard.jinja", "markdown", page, **context))
+    publish("leaderboard.jinja", out_dir / REPORT, page, context)
     write_whole(out_dir / TABLE, _csv(matches))
     return out_dir / REPORT, len(entries), say("leaderboard_verdict", **context)
 
@@ -189,35 +190,32 @@ def _n_scenes(study: Study, scenes: Sequence[str]) -> str:
     return str(len({study.name_of(scene) for scene in scenes}))
 
 
-def _methods(entries: Sequence[Entry]) -> list[Method]:
-    return [method for entry in entries for method in entry.study.methods]
+def _by_league(matches: Sequence[Match]) -> list[tuple[Method, list[Match]]]:
+    """The families by learned weights, in the order of reports, each with its comparisons."""
+    groups: dict[tuple[Method, str], list[Match]] = defaultdict(list)
+    for match in matches:
+        groups[match.league].append(match)
+    order = sorted(groups, key=lambda league: (league[0].order, league[1]))
+    return [(league[0], groups[league]) for league in order]
 
 
-def _leagues(matches: Sequence[Match]) -> list[tuple[Method, str]]:
-    """The distinct families by learned weights, in the order of reports."""
-    leagues = {match.league for match in matches}
-    return sorted(leagues, key=lambda league: (league[0].order, league[1]))
+def _counts(leagues: Leagues, sign: int) -> list[tuple[Method, int]]:
+    counts = [(family, [m.sign for m in matches].count(sign)) for family, matches in leagues]
+    return [(family, count) for family, count in counts if count]
 
 
-def _counts(matches: Sequence[Match], sign: int) -> list[tuple[Method, int]]:
-    of_sign = [match for match in matches if match.sign == sign]
-    leagues = [match.league for match in of_sign]
-    return [(league[0], leagues.count(league)) for league in _leagues(of_sign)]
-
-
-def _ranks(matches: Sequence[Match]) -> list[Cells]:
+def _ranks(leagues: Leagues) -> list[Cells]:
     """One row per method, sorted by wins minus losses, then by the mean difference."""
     rows = []
-    for league in _leagues(matches):
-        of_family = [match for match in matches if match.league == league]
-        signs = [match.sign for match in of_family]
-        differences = [match.comparison.difference for match in of_family]
-        mean = sum(differences) / len(of_family)
+    for family, matches in leagues:
+        signs = [match.sign for match in matches]
+        differences = [match.comparison.difference for match in matches]
+        mean = sum(differences) / len(matches)
         ends = [format_difference(end) for end in (min(differences), max(differences))]
         row: Cells = {
-            "Method": league[0],
-            "Studies": str(len({match.entry.name for match in of_family})),
-            "Comparisons": str(len(of_family)),
+            "Method": family,
+            "Studies": str(len({match.entry.name for match in matches})),
+            "Comparisons": str(len(matches)),
             "Better": str(signs.count(1)),
             "Not significant": str(signs.count(0)),
             "Worse": str(signs.count(-1)),
@@ -281,8 +279,7 @@ def _forest(matches: Sequence[Match], families: Sequence[Method], out_dir: Path)
                 f"{match.entry.name}{budget}",
                 numbers[match.family.label],
                 c.difference,
-                match.joint.low,
-                match.joint.high,
+                match.joint,
                 joint=True,
                 significant=c.significant,
                 method_index=families.index(match.family),
@@ -311,16 +308,13 @@ def _row(match: Match) -> Cells:
 
 def _csv(matches: Sequence[Match]) -> str:
     """Every comparison in full digits."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    names = ("study", "method", "against", "scenes", "seeds", "difference_db", "low", "high", "p")
-    writer.writerow(names)
+    rows = []
     for match in matches:
-        c = match.comparison
-        scenes = _n_scenes(match.entry.study, c.scenes)
+        c, scenes = match.comparison, _n_scenes(match.entry.study, match.comparison.scenes)
         labels = (match.entry.name, c.method.label, c.baseline.label, scenes, c.n)
-        writer.writerow([*labels, c.difference, match.joint.low, match.joint.high, match.p])
-    return buffer.getvalue()
+        values = (*labels, c.difference, match.joint.low, match.joint.high, match.p)
+        rows.append(dict(zip(COLUMNS, values, strict=True)))
+    return csv_text(rows, COLUMNS)
 
 
 def main(arguments: list[str], prog: str) -> int:

@@ -5,8 +5,6 @@ depth network by the plane sweep. Published figures are means over a data set, m
 They appear only next to scenes of that data set, and no difference to them is tested.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 

@@ -3,8 +3,6 @@
 Several folders are reported as one study; `--out` says where that report goes.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from framework.errors import Arguments, printable_line, require

@@ -4,8 +4,6 @@ Which options differ, what every test view gained, where the pictures differ, an
 training time. Two single runs cannot distinguish a method from chance; a study with seeds does.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -13,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from framework.errors import Arguments, require
-from framework.files.whole import make_folder, write_whole
+from framework.files.whole import make_folder
 from framework.metrics.values import AVERAGE, digits
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import RECORD, Run, read_run
@@ -23,7 +21,7 @@ from framework.report.figures.pictures import draw_closeup
 from framework.report.gallery import gallery
 from framework.report.main import tell
 from framework.report.provenance import code_of
-from framework.report.render import Page, render, render_page, say
+from framework.report.render import Page, publish, say
 from framework.report.statistics.numbers import ABSENT, format_difference
 from framework.report.study.methods import Method, methods_of
 from framework.report.study.scenes import scene_labels
@@ -73,11 +71,9 @@ def compare_runs(first: Path, second: Path, out_dir: Path) -> tuple[Path, str]:
         "facts": _facts(study),
     }
     title = f"{other.method} compared with {one.method}"
-    data = {**gallery(study, same).data, "beside": True}
+    data = {**gallery(study, same), "beside": True}
     page = Page(title, out_dir, study.families, (), data)
-    content = render_page("compare.jinja", page, **context)
-    write_whole(out_dir / REPORT, render("compare.jinja", "markdown", page, **context))
-    write_whole((out_dir / REPORT).with_suffix(".html"), content)
+    publish("compare.jinja", out_dir / REPORT, page, context)
     return out_dir / REPORT, say("pair_verdict", **context)
 
 

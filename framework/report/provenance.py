@@ -1,7 +1,5 @@
 """Where a report's numbers come from: code, packages, machine, scenes, commands, time, papers."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,7 +30,7 @@ class Provenance:
 def provenance(study: Study) -> Provenance:
     """The provenance of all runs, complete and failed."""
     sources = [run.record.provenance for run in study.runs]
-    sources += [run.provenance for run in study.failed if run.provenance]
+    sources += [run.record.provenance for run in study.failed if run.record.provenance]
     facts = {name: sorted(set(v) - {"", "None"}) for name, v in _facts(sources).items()}
     lines = [f"{name}: {'; '.join(values)}" for name, values in facts.items() if values]
     varying = any(BITS in source for source in sources)
@@ -116,7 +114,7 @@ def _commands(study: Study) -> list[str]:
     """The overrides, runs that differ in the seed alone together."""
     seeds: dict[str, list[str]] = defaultdict(list)
     runs = [(run.record.overrides, run.seed) for run in study.runs]
-    runs += [(run.overrides, run.seed) for run in study.failed if run.seed is not None]
+    runs += [(run.record.overrides, run.seed) for run in study.failed if run.seed is not None]
     for overrides, seed in runs:
         words = [word for word in overrides if not word.startswith("seed=")]
         seeds[" ".join(words)].append(str(seed))

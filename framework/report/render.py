@@ -7,8 +7,6 @@ rest, so a name from outside cannot become markup. The page's content security p
 script and style by their hashes and nothing from elsewhere.
 """
 
-from __future__ import annotations
-
 import base64
 import functools
 import io
@@ -24,12 +22,13 @@ from PIL import Image
 from tabulate import tabulate
 
 from framework.files.pages import policy_hash, script_json
+from framework.files.whole import write_whole
 from framework.report.figures.palette import DARK, LIGHT
 from framework.report.statistics import numbers
 from framework.report.study.methods import Method
 from framework.report.study.scenes import MARK
 from framework.report.study.words import code, joined, listed, outside
-from framework.report.tables import Cell, Link, Row
+from framework.report.tables import Cell, Link, Result, Row
 from framework.scenes.images import read_image
 
 HOME = Path(__file__).parent
@@ -42,6 +41,7 @@ LEFT = {  # headings of columns of words
     *("Run", "Kind", "Reason", "Again", "Option", "Options", "What", "Recipe"),
     *("Study", "Use", "Why", "Result"),
 }
+MARKS = ("{}", "**{}**", "<u>{}</u>")  # by rank, in Markdown
 TEX = {
     **{character: f"\\{character}" for character in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
@@ -65,7 +65,7 @@ class Page:
         methods, scenes: what the page can be filtered by.
         folder: of the pictures, which the page takes in.
         data: for the page's script.
-        headings: filled while the template is rendered.
+        headings: list filled while the template is rendered.
     """
 
     title: str
@@ -125,6 +125,14 @@ def data_uri(content: bytes, kind: str = "image/webp") -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
+def publish(template: str, report: Path, page: Page, context: Mapping[str, Any]) -> None:
+    """Write a report as Markdown, and as a page with the same name."""
+    whole = render_page(template, page, **context)
+    text = render(template, "markdown", page, **context)
+    write_whole(report.with_suffix(".html"), whole)
+    write_whole(report, text)
+
+
 def render(template: str, kind: str, page: Page, **context: Any) -> str:
     """The body of a report.
 
@@ -180,14 +188,14 @@ def templates() -> Environment:
     """
     env = _environment(autoescape=lambda name: bool(name) and "html.jinja" in str(name))
     env.filters |= {"html_prose": _html_prose, "markdown_prose": _markdown_prose}
-    env.filters |= {"cell": _html_cell, "pipe_table": _pipe_table, "columns": columns}
+    env.filters |= {"cell": _html_cell, "pipe_table": pipe_table, "columns": columns}
     env.filters |= {"listed": listed, "joined": joined, "outside": outside, "code": code}
     env.filters |= {
         name.removeprefix("format_"): getattr(numbers, name)
         for name in dir(numbers)
         if name.startswith("format_")
     }
-    env.filters |= PLAIN_FILTERS
+    env.filters |= {**PLAIN_FILTERS, "average": numbers.average}
     env.globals |= {"CONTENTS": CONTENTS, "LONG": LONG, "MANY": MANY, "LEFT": LEFT}
     return env
 
@@ -254,7 +262,8 @@ def _html_cell(cell: Cell) -> Markup:
     return _html_prose(str(cell).replace(" ± ", "\u00a0±\u00a0"))
 
 
-def _pipe_table(rows: Sequence[Row]) -> str:
+def pipe_table(rows: Sequence[Row]) -> str:
+    """The Markdown of a table; the best result of a column is bold, the second underlined."""
     names = columns(rows)
     cells = [[_pipe_cell(row.get(name, "")) for name in names] for row in rows]
     align = ["left" if name in LEFT else "right" for name in names]
@@ -265,6 +274,8 @@ def _pipe_table(rows: Sequence[Row]) -> str:
 def _pipe_cell(cell: Cell) -> str:
     if isinstance(cell, Link):
         return f"[{_markdown_prose(cell.text)}]({cell.target})"
+    if isinstance(cell, Result):
+        return str(cell).replace(cell.text, MARKS[cell.rank].format(cell.text), 1)
     return _markdown_prose(cell).replace("|", "\\|")
 
 

@@ -5,8 +5,6 @@ A panel is a scene under one stress with at least `FEWEST_LEVELS` tested strengt
 run would be in no panel. Everything else that distinguishes it from others of its name is fixed.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,11 +4,9 @@ A missing value is `–`; "Missing metrics" lists the reason. A mean carries ± 
 95 % interval. Cells of a method hold the method, for the page's filter.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from urllib.parse import quote
 
@@ -85,7 +83,32 @@ class Link:
     target: str
 
 
-Cell = str | Link | Method
+@dataclass(frozen=True)
+class Result:
+    """A value of the table of results: mean ± sigma over seeds, with fixed decimals.
+
+    Attributes:
+        rank: 1 for the best of its column, 2 for the second.
+    """
+
+    mean: float
+    sigma: float | None
+    places: int
+    rank: int = 0
+
+    @property
+    def text(self) -> str:
+        return f"{self.mean:.{self.places}f}"
+
+    @property
+    def sigma_text(self) -> str:
+        return "" if self.sigma is None else f"{self.sigma:.{self.places}f}"
+
+    def __str__(self) -> str:
+        return f"{self.text} ± {self.sigma_text}" if self.sigma_text else self.text
+
+
+Cell = str | Link | Method | Result
 Row = dict[str, Cell]
 
 
@@ -113,28 +136,6 @@ def without(rows: Sequence[Row], *headings: str) -> list[Row]:
     return [{k: v for k, v in row.items() if k not in headings} for row in rows]
 
 
-@dataclass(frozen=True)
-class Result:
-    """A value of the table of results: mean ± sigma over seeds, with fixed decimals.
-
-    Attributes:
-        rank: 1 for the best of its column, 2 for the second.
-    """
-
-    mean: float
-    sigma: float | None
-    places: int
-    rank: int = 0
-
-    @property
-    def text(self) -> str:
-        return f"{self.mean:.{self.places}f}"
-
-    @property
-    def sigma_text(self) -> str:
-        return "" if self.sigma is None else f"{self.sigma:.{self.places}f}"
-
-
 def results(study: Study) -> dict[Method, dict[str, Result | None]]:
     """Method -> metric -> result, of the mean over the tested scenes for seeds with all of them."""
     metrics = [metric for metric in PLACES if metric in measured(study)]
@@ -143,6 +144,15 @@ def results(study: Study) -> dict[Method, dict[str, Result | None]]:
         method: {metric: columns[metric].get(method) for metric in metrics}
         for method in study.methods
     }
+
+
+def results_rows(results: Mapping[Method, Mapping[str, Result | None]]) -> list[Row]:
+    """A row per method."""
+    rows: list[Row] = []
+    for method, columns in results.items():
+        cells = {heading_of(metric): result or ABSENT for metric, result in columns.items()}
+        rows.append({"Method": method, **cells})
+    return rows
 
 
 def _results(study: Study, metric: str) -> dict[Method, Result]:
@@ -401,9 +411,9 @@ def failure_rows(study: Study) -> list[Row]:
     """Every failed run with its kind and reason, and the command that repeats it."""
     return [
         {
-            "Run": code(study.folder_of(run.run_dir)),
+            "Run": code(study.folder_of(run.run.run_dir)),
             "Kind": outside(run.kind),
-            "Reason": outside(run.error),
+            "Reason": outside(run.record.error or "unknown error"),
             "Again": "" if run.kind == DAMAGED else _again(run),
         }
         for run in study.failed
@@ -411,7 +421,7 @@ def failure_rows(study: Study) -> list[Row]:
 
 
 def _again(run: FailedRun) -> str:
-    return code(run.again or shlex.join(["python", "run.py", *run.overrides, "-m"]))
+    return code(run.again or shlex.join(["python", "run.py", *run.record.overrides, "-m"]))
 
 
 def missing_metrics(study: Study) -> list[tuple[str, int, str]]:

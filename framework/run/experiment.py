@@ -40,7 +40,6 @@ from framework.options import TrainerOptions
 from framework.records.cameras import write_cameras
 from framework.records.first_view import write_settings
 from framework.records.notices import noted, warnings_of
-from framework.records.photos import write_photos
 from framework.records.progress import Progress
 from framework.records.provenance import (
     code_hash,
@@ -63,7 +62,7 @@ from framework.records.record import (
     remove_record,
     write_run,
 )
-from framework.records.run_files import remove_made_of_model
+from framework.records.run_files import remove_made_of_model, write_photos
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.plugin_code import plugin_hashes

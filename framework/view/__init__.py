@@ -1,10 +1,5 @@
 """A run in the browser: one self-contained page with its Gaussians, cameras and photos.
 
-`runs` reads a run's folder, `cameras` its cameras. `pack` compresses the Gaussians and `photos` the
-photos. `page` makes the page, whose renderer is in `assets`; `server` serves it.
+`runs` reads a run's folder. `pack` compresses the Gaussians and `photos` the photos. `page` makes
+the page, whose renderer is in `assets`; `server` serves it.
 """
-
-from framework.view.page import view_page
-from framework.view.runs import check_together, find_run, read_exported, read_viewed
-
-__all__ = ["check_together", "find_run", "read_exported", "read_viewed", "view_page"]

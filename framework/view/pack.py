@@ -33,13 +33,13 @@ class Packed:
     """Packed Gaussians.
 
     Attributes:
-        count, banded, rest: N, M and K - 1.
+        n, banded, rest: N, M and K - 1.
         log_scales, sh0: (lowest, highest).
         bands: range of each degree.
         text: gzip in base64.
     """
 
-    count: int
+    n: int
     banded: int
     rest: int
     log_scales: tuple[float, float]

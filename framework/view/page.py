@@ -4,16 +4,20 @@ As in reports, texts from outside are escaped and data is JSON without `<`. The 
 policy allows only the page's own script and style, by their hashes.
 """
 
+import base64
 import html
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from framework.errors import printable_line
+from framework.exports.opened import NamedCamera
 from framework.files.pages import filled, policy_hash, script_json
-from framework.view.cameras import RunCamera, upward
+from framework.scenes.images import read_image
 from framework.view.pack import Packed, packed
-from framework.view.photos import copies
 from framework.view.runs import ViewedRun
 
 ASSETS = Path(__file__).parent / "assets"
@@ -90,27 +94,31 @@ def _data(
         "runs": [_run(*each) for each in zip(runs, models, names, strict=True)],
         "cameras": [_camera(camera, runs, places) for camera in ordered],
         "photos": copies([files[name] for name in kept]),
-        "up": upward(ordered),
+        "up": _upward(ordered),
         "first": 0,
     }
+
+
+def _upward(cameras: Sequence[NamedCamera]) -> list[float]:
+    """[3] unit vector: the mean up direction of the cameras."""
+    total = sum((-camera.viewmat[1, :3] for camera in cameras), np.zeros(3))
+    length = float(np.linalg.norm(total))
+    return [0.0, -1.0, 0.0] if length < 1e-3 else [float(v) for v in total / length]
 
 
 def _run(run: ViewedRun, model: Packed, name: str) -> dict[str, Any]:
     background = run.splats.background or [0.0, 0.0, 0.0]
     return {
         "label": name,
-        "n": model.count,
-        "banded": model.banded,
-        "rest": model.rest,
-        "log_scales": model.log_scales,
-        "sh0": model.sh0,
-        "bands": model.bands,
+        **{key: value for key, value in vars(model).items() if key != "text"},
         "background": [min(1.0, max(0.0, value)) for value in background],
         "near": run.near,
     }
 
 
-def _camera(camera: RunCamera, runs: Sequence[ViewedRun], places: dict[str, int]) -> dict[str, Any]:
+def _camera(
+    camera: NamedCamera, runs: Sequence[ViewedRun], places: dict[str, int]
+) -> dict[str, Any]:
     lens = camera.lens
     exposures = [{c.name: c.exposure for c in run.cameras} for run in runs]
     return {
@@ -128,3 +136,34 @@ def _camera(camera: RunCamera, runs: Sequence[ViewedRun], places: dict[str, int]
 
 def _asset(name: str) -> str:
     return (ASSETS / name).read_text(encoding="utf-8")
+
+
+BYTES = 4_000_000  # of all photos of a page, about, before base64
+LONGEST, SHORTEST = 1280, 320  # pixels of a copy's longer side: at most; however many there are
+QUALITY, EFFORT = 82, 4
+BYTES_PER_PIXEL = 0.2  # of a WebP copy of this quality, rather too much
+
+
+def copies(files: Sequence[Path]) -> list[str]:
+    """Data URIs.
+
+    Raises:
+        UserError: for a file that is no image.
+    """
+    return [_copy(file, _longest(len(files))) for file in files]
+
+
+def _longest(count: int) -> int:
+    """Pixels of the longer side, so that `count` copies keep to the budget."""
+    pixels = BYTES / max(1, count) / BYTES_PER_PIXEL
+    return int(min(LONGEST, max(SHORTEST, (pixels * 4 / 3) ** 0.5)))
+
+
+def _copy(file: Path, longest: int) -> str:
+    from PIL import Image
+
+    image = Image.fromarray(read_image(file))
+    image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    image.save(buffer, "WEBP", quality=QUALITY, method=EFFORT)
+    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

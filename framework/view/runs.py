@@ -1,7 +1,6 @@
 """Reads a run's folder for the page: record, Gaussians, cameras, paths of photos."""
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,16 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from framework.errors import UserError, require
+from framework.exports.opened import NamedCamera, read_run_cameras
 from framework.files.opened import is_file
 from framework.files.paths import inside
 from framework.records import RUN_FOLDERS
-from framework.records.cameras import NEAR, TRANSFORMS
-from framework.records.photos import photo_files
 from framework.records.ply import Splats, read_splats
 from framework.records.record import PLY, RECORD, RunRecord, read_run
-from framework.records.run_files import RENDERS
+from framework.records.run_files import RENDERS, photo_files
 from framework.records.spz import read_spz
-from framework.view.cameras import RunCamera, read_cameras
 
 FEW = 6  # runs that a message names
 USUAL = "reports/STUDY/runs/RUN"
@@ -38,7 +35,7 @@ class ViewedRun:
     folder: Path
     record: RunRecord
     splats: Splats
-    cameras: tuple[RunCamera, ...]
+    cameras: tuple[NamedCamera, ...]
     near: float
     photos: Mapping[str, Path]
     psnr: Mapping[str, float | None]
@@ -87,10 +84,7 @@ def read_viewed(folder: Path) -> ViewedRun:
         f" ({record.error or 'no reason given'}); run it again",
     )
     splats = read_splats(inside(folder, PLY))
-    cameras: tuple[RunCamera, ...] = ()
-    near = NEAR
-    if os.path.lexists(folder / TRANSFORMS):  # absent in old runs
-        cameras, near = read_cameras(folder)
+    read = read_run_cameras(folder)
     texts, values = run.metrics.texts, run.metrics.numbers["psnr"]
     files = {
         v: f"{RENDERS}/{s}_truth.png" for v, s in zip(texts["view"], texts["file"], strict=True)
@@ -102,7 +96,7 @@ def read_viewed(folder: Path) -> ViewedRun:
         view: float(value) if math.isfinite(value) else None
         for view, value in zip(texts["view"], values, strict=True)
     }
-    return ViewedRun(folder, record, splats, cameras, near, photos, psnr)
+    return ViewedRun(folder, record, splats, read.cameras, read.near, photos, psnr)
 
 
 def read_exported(file: Path) -> ViewedRun:
@@ -121,9 +115,9 @@ def read_exported(file: Path) -> ViewedRun:
     )
     run = read_viewed(folder.parent)
     splats = replace(read_spz(file), background=run.splats.background)
-    cameras, near = read_cameras(folder)
+    read = read_run_cameras(folder)
     record = replace(run.record, summary={})
-    return ViewedRun(folder, record, splats, cameras, near, run.photos, {})
+    return ViewedRun(folder, record, splats, read.cameras, read.near, run.photos, {})
 
 
 def check_together(runs: Sequence[ViewedRun]) -> None:
@@ -132,26 +126,21 @@ def check_together(runs: Sequence[ViewedRun]) -> None:
     named = {camera.name: camera for camera in first.cameras}
     for other in runs[1:]:
         where = f"{other.folder}: expected a run of the same scene as {first.folder}"
-        if not first.cameras or not other.cameras:
-            require(
-                first.scene == other.scene,
-                f"{where}, got {other.scene} and {first.scene}; choose two of one scene",
-            )
-            continue
         common = [(named[c.name], c) for c in other.cameras if c.name in named]
         if not common:
             raise UserError(f"{where}, got no camera of the same name; choose two of one scene")
-        centers = np.array([a.center for a, _ in common])
-        size = max(float(np.ptp(centers, axis=0).max()), 1e-3 * float(np.abs(centers).max()), 1e-9)
-        apart = max(
-            max(
-                float(np.abs(a.center - b.center).max()) / size,
-                float(np.abs(a.viewmat[:3, :3] - b.viewmat[:3, :3]).max()),
-            )
-            for a, b in common
-        )
+        apart = _apart(common)
         require(
             apart <= SAME,
             f"{where}, got cameras in other places (off by {apart:.2g} of the rig's size);"
             " choose two runs with the same poses",
         )
+
+
+def _apart(pairs: Sequence[tuple[NamedCamera, NamedCamera]]) -> float:
+    """The largest difference of the cameras: of the rig's size, or of an axis."""
+    centers = np.array([one.center for one, _ in pairs])
+    size = max(float(np.ptp(centers, axis=0).max()), 1e-3 * float(np.abs(centers).max()), 1e-9)
+    moved = max(float(np.abs(one.center - other.center).max()) for one, other in pairs)
+    turned = (one.viewmat[:3, :3] - other.viewmat[:3, :3] for one, other in pairs)
+    return max(moved / size, *(float(np.abs(axes).max()) for axes in turned))

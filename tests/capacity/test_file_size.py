@@ -13,8 +13,10 @@ from framework.errors import UserError
 from framework.exports.compact import Photo, compact
 from framework.exports.opened import NamedCamera, OpenedRun
 from framework.run.plane import textured_plane
+from framework.scenes.lens import Lens
 from framework.toolbox.file_size import file_bytes, most_gaussians
 from framework.train.trainer import Trained
+from framework.types import View
 from plugins.capacity.budget import Budget
 from tests.capacity.population import pulls, watched
 from tests.contract.test_members import trained
@@ -61,10 +63,17 @@ def test_the_budget_is_what_fits(n: int) -> None:
     assert n == most_gaussians(2000, ctx.gaussians.sh_degree)
 
 
+def _named(view: View) -> NamedCamera:
+    camera = view.camera
+    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+    lens = Lens(camera.width, camera.height, fx, fy, cx, cy)
+    return NamedCamera(view.name, camera.viewmat.numpy(), lens)
+
+
 def exported(result: Trained) -> int:
     """The bytes of the compact file."""
     views = textured_plane(1)[0].views
-    cameras = tuple(NamedCamera(view.name, view.camera) for view in views)
+    cameras = tuple(_named(view) for view in views)
     photos = [Photo(view.camera, view.image, view.mask, torch.ones(3)) for view in views]
     run = OpenedRun(Path(), result.gaussians, result.background, cameras, 0.01)
     return len(compact(run, photos).content)

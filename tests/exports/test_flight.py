@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from framework.exports.flight import flight, lens_of
+from framework.exports.flight import flight, lens_of, rig
 from framework.exports.opened import open_run
-from framework.exports.rig import rig
 from tests.exports.folders import all_around, camera_at, run_folder, side_by_side
 
 ARC = [camera_at((3 * math.cos(a), -1.0, 3 * math.sin(a))) for a in np.linspace(0, 2.5, 6)]

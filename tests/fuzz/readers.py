@@ -25,7 +25,8 @@ from framework.report.build import build_report
 from framework.scenes.images import read_image
 from framework.train.resume.checkpoint import pack, unpack
 from framework.types import Gaussians, Scene
-from framework.view import find_run, read_viewed, view_page
+from framework.view.page import view_page
+from framework.view.runs import find_run, read_viewed
 from tests.built import load_scene
 from tests.fuzz import commands
 from tests.metrics.test_lpips import features, state_dict

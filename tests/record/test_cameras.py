@@ -52,6 +52,7 @@ def test_both_files_give_the_cameras_back(tmp_path: Path) -> None:
         tmp_path,
         scene.training.views,
         scene.test,
+        near=0.25,
         exposure=lambda camera: [1.5 if camera is test else 1.0] * 3,
     )
     frames_told = json.loads((tmp_path / TRANSFORMS).read_text())["frames"]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from framework.metrics.evaluate import quantise
-from framework.records.photos import photo_files, write_photos
+from framework.records.run_files import photo_files, write_photos
 from framework.scenes.images import read_image
 from tests.record.fakes import make_view
 

@@ -114,12 +114,18 @@ def test_a_failed_run_without_a_record_is_listed(tmp_path: Path) -> None:
     fake_run(tmp_path, "safi", seed=0)
     folder = tmp_path / "runs" / "x"
     folder.mkdir()
-    (folder / "failed.json").write_text('{"error": "no overlap", "overrides": ["seed=1"]}')
+    content = {"error": "no overlap", "kind": "", "overrides": ["seed=1"], "again": ""}
+    (folder / "failed.json").write_text(json.dumps(content))
     (failed,) = collect(tmp_path).failed
-    assert (failed.error, failed.overrides, failed.seed) == ("no overlap", ("seed=1",), None)
+    assert (failed.record.error, failed.record.overrides, failed.seed) == (
+        "no overlap",
+        ("seed=1",),
+        None,
+    )
     (folder / "failed.json").write_text("{")
     (damaged,) = collect(tmp_path).failed
-    assert damaged.kind == "damaged" and damaged.error.startswith("failed.json: expected JSON")
+    error = damaged.record.error or ""
+    assert damaged.kind == "damaged" and error.startswith("failed.json: expected JSON")
 
 
 def test_missing_runs_of_a_cross(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from framework.compute.rng import stream
 from framework.report.statistics.breakdown import break_down
 from framework.report.statistics.compare import Pairs, compare
-from framework.report.statistics.estimates import spread
+from framework.report.statistics.estimates import estimate
 from framework.report.statistics.robustness import wilson
 from framework.report.statistics.variance import brown_forsythe, compare_sigmas
 
@@ -28,8 +28,8 @@ def on_one(values: np.ndarray) -> Pairs:
 @pytest.mark.parametrize("n", [3, 10])
 def test_mean_and_deviation(n: int) -> None:
     draws = 25 + 0.1 * stream(n, "spread").standard_normal((DRAWS, n))
-    actual = [spread(list(row)) for row in draws]
-    assert covered([f.mean_interval for f in actual], 25.0) == pytest.approx(0.95, abs=TOLERANCE)
+    actual = [estimate(list(row)) for row in draws]
+    assert covered([f.interval() for f in actual], 25.0) == pytest.approx(0.95, abs=TOLERANCE)
     assert covered([f.sd_interval for f in actual], 0.1) == pytest.approx(0.95, abs=TOLERANCE)
 
 
@@ -103,7 +103,7 @@ def test_these_scenes_and_scenes_like_these(shared: float) -> None:
         assert actual is not None
         these.append((actual.interval, effects.mean()))
         like.append((actual.like_joint, 0.0))
-        pooled.append((spread(list(values.values())).mean_interval, 0.0))
+        pooled.append((estimate(list(values.values())).interval(), 0.0))
 
     def share(pairs: list[tuple[Any, float]]) -> float:
         return float(np.mean([i.low <= truth <= i.high for i, truth in pairs]))

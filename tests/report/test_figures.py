@@ -11,6 +11,7 @@ import pytest
 from framework.report import build_report
 from framework.report.figures.forest import Row
 from framework.report.figures.pictures import draw_closeup
+from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import format_difference
 from framework.report.study.collect import collect
 from tests.record import fakes
@@ -29,7 +30,7 @@ def study_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def row(low: float, high: float, joint: bool) -> Row:
-    return Row("m", "label", 0, (low + high) / 2, low, high, joint, False)
+    return Row("m", "label", 0, (low + high) / 2, Interval(low, high), joint, False)
 
 
 def test_a_figure_is_also_numbers(study_dir: Path) -> None:

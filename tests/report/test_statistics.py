@@ -6,31 +6,31 @@ from scipy import stats
 
 from framework.compute.rng import stream
 from framework.report.statistics.compare import compare, corrected
-from framework.report.statistics.estimates import Interval, spread
+from framework.report.statistics.estimates import Interval, estimate
 from framework.report.statistics.numbers import format_interval, format_span
 
 
 def test_spread_of_known_values() -> None:
-    actual = spread([1.0, 2.0, 3.0])
+    actual = estimate([1.0, 2.0, 3.0])
     assert (actual.n, actual.mean, actual.sd) == (3, 2.0, 1.0)
-    assert actual.mean_interval is not None and actual.sd_interval is not None
+    assert actual.interval() is not None and actual.sd_interval is not None
     # t(.975, 2) = 4.3027; chi2(2) quantiles 7.3778 and 0.0506
-    assert actual.mean_interval.high == pytest.approx(2 + 4.3027 / 3**0.5, abs=1e-4)
+    assert actual.interval().high == pytest.approx(2 + 4.3027 / 3**0.5, abs=1e-4)
     assert actual.sd_interval.low == pytest.approx((2 / 7.3778) ** 0.5, abs=1e-4)
     assert actual.sd_interval.high == pytest.approx((2 / 0.0506356) ** 0.5, abs=1e-3)
 
 
 def test_one_value_says_nothing_about_spread() -> None:
-    actual = spread([5.0])
+    actual = estimate([5.0])
     assert actual.mean == 5.0
-    assert actual.sd is None and actual.sd_interval is None and actual.mean_interval is None
+    assert actual.sd is None and actual.sd_interval is None and actual.interval() is None
     with pytest.raises(ValueError, match="at least one"):
-        spread([])
+        estimate([])
 
 
 def test_sd_interval_covers_the_truth_as_often_as_it_says() -> None:
     draws = 0.1 * stream(0, "coverage").standard_normal((4000, 5))
-    actual = [spread(list(row)).sd_interval for row in draws]
+    actual = [estimate(list(row)).sd_interval for row in draws]
     share = np.mean([i is not None and i.low <= 0.1 <= i.high for i in actual])
     assert share == pytest.approx(0.95, abs=0.012)
 

@@ -11,10 +11,9 @@ from scipy import stats
 from framework.compute.rng import stream
 from framework.report.render import say
 from framework.report.statistics.breakdown import break_down
-from framework.report.statistics.estimates import spread
-from framework.report.statistics.power import detectable
+from framework.report.statistics.estimates import estimate
 from framework.report.statistics.robustness import wilson
-from framework.report.statistics.variance import compare_sigmas
+from framework.report.statistics.variance import compare_sigmas, detectable
 from framework.report.study.methods import Method
 
 
@@ -135,7 +134,7 @@ def test_a_method_that_seeds_do_not_move() -> None:
     """The mean of equal numbers is rounded, which made a tiny spread and an absurd ratio of two."""
     still = dict.fromkeys(range(6), 20.1)
     moving = {seed: value for seed, value in enumerate((20.0, 21.0, 20.1, 21.1, 20.0, 21.05))}
-    assert np.std([20.1] * 6, ddof=1) > 0 and spread([20.1] * 6).sd == 0.0
+    assert np.std([20.1] * 6, ddof=1) > 0 and estimate([20.1] * 6).sd == 0.0
     both = compare_sigmas("a", still, "b", {seed: value + 0.6 for seed, value in still.items()})
     assert both is not None and both.ratio is None and both.p == 1.0 and not both.significant
     a, b = Method("a"), Method("b")

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from framework.records.cameras import write_cameras
-from framework.records.photos import write_photos
+from framework.records.run_files import write_photos
 from framework.types import Camera, Gaussians, View
 from tests.record.fakes import TAGS, fake_run, make_view
 

@@ -19,7 +19,8 @@ import torch
 from framework.kernels import rasterize
 from framework.metrics.evaluate import quantise
 from framework.records.ply import write_ply
-from framework.view import read_viewed, view_page
+from framework.view.page import view_page
+from framework.view.runs import read_viewed
 from framework.view.server import PageServer
 from tests.view.runs import NEAR, scene_gaussians, seen_run, views
 

@@ -19,9 +19,10 @@ from framework.command.config.schema import ROOT
 from framework.errors import UserError
 from framework.exports.export import main as export
 from framework.records.ply import read_splats, write_ply
-from framework.view import check_together, read_exported, read_viewed, view_page
 from framework.view.main import main
 from framework.view.pack import packed
+from framework.view.page import view_page
+from framework.view.runs import check_together, read_exported, read_viewed
 from tests.view.runs import NEAR, scene_gaussians, seen_run, views
 
 HOSTILE = '<img src=x onerror=alert(1)>"</script><script>alert(2)</script>'
@@ -87,7 +88,7 @@ def test_the_packed_gaussians_are_the_run_s(tmp_path: Path, banded: int) -> None
     write_ply(tmp_path / "point_cloud.ply", gaussians, background)
     splats = read_splats(tmp_path / "point_cloud.ply")
     built = packed(splats)
-    assert (built.count, built.banded, built.rest) == (200, banded, 15 if banded else 0)
+    assert (built.n, built.banded, built.rest) == (200, banded, 15 if banded else 0)
     content = gzip.decompress(base64.b64decode(built.text))
     kinds = ["<f4", "<u2", "<i2", "<u2", "<u2", "u1"]
     sizes = [600, 600, 800, 200, 600, 45 * banded]
@@ -137,7 +138,7 @@ FORGED: dict[str, tuple[Callable[[Path], object], str]] = {
     "size": (_transforms(lambda t: t["frames"][0].update(w=1e9)), "expected sides of"),
     "dark": (
         _transforms(lambda t: t["frames"][0].update(exposure=[1, 0, 1])),
-        "3 positive numbers as exposure",
+        "an exposure of 3 positive numbers",
     ),
     "twice": (_transforms(lambda t: t["frames"].append(t["frames"][0])), "each photo once"),
     "near": (_transforms(lambda t: t.update(near_plane=-1)), "a positive near_plane"),

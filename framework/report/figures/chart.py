@@ -4,9 +4,6 @@ Points show 95 % confidence intervals where there are any. An axis of PSNR spans
 `min_span`, so that noise does not look like a difference. Files hold neither a date nor random ids.
 """
 
-from __future__ import annotations
-
-import csv
 import io
 import itertools
 import math
@@ -24,6 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from framework.files.whole import write_whole
+from framework.records.run_files import csv_text
 from framework.report.figures.palette import LIGHT, Look, look_of
 
 MIN_SPAN_DB = 1.0  # of an axis of PSNR or of its differences
@@ -137,11 +135,7 @@ def save_figure(
 ) -> Picture:
     """Write a figure and the table of its numbers."""
     content = {kind: save(figure, out_dir, name, kind) for kind in FORMATS}
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_whole(out_dir / f"{name}.csv", buffer.getvalue())
+    write_whole(out_dir / f"{name}.csv", csv_text(rows))
     files = tuple(f"{name}.{kind}" for kind in ("png", "svg", "csv"))
     return Picture(files, alt, svg=inline_svg(content["svg"].decode()))
 

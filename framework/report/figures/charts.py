@@ -1,7 +1,5 @@
 """The charts of a report: PSNR over training time, against cost, and along a stress."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,7 +10,7 @@ from framework.report.costs import train_s as seconds_of
 from framework.report.figures.chart import MIN_SPAN_DB, Chart, Point, Series
 from framework.report.figures.palette import looks
 from framework.report.figures.views import shown_methods
-from framework.report.statistics.estimates import spread
+from framework.report.statistics.estimates import estimate
 from framework.report.statistics.outcomes import by_pair
 from framework.report.stress import Limit, Panel, by_seed
 from framework.report.study.methods import Method
@@ -70,7 +68,7 @@ def _courses(name: str, look: int, index: int, runs: Sequence[Evaluations]) -> l
 
 
 def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
-    spreads = spread([psnr for _, psnr in pairs])
+    spreads = estimate([psnr for _, psnr in pairs])
     seconds = sum(second for second, _ in pairs) / len(pairs)
     return Point(seconds, spreads.mean, *spreads.ends, f"step {step}")
 
@@ -187,7 +185,7 @@ def stress_charts(
 def _points(values: dict[float, list[float]]) -> list[Point]:
     """The mean of each level's values with its 95 % interval."""
     spreads = {
-        level: spread(level_values) for level, level_values in values.items() if level_values
+        level: estimate(level_values) for level, level_values in values.items() if level_values
     }
     return [Point(x, s.mean, *s.ends, f"n = {s.n}") for x, s in spreads.items()]
 

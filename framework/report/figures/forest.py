@@ -4,8 +4,6 @@ A thick bar is an interval that holds for all comparisons of the report at once,
 to its row alone. A mark is filled where a thick bar excludes zero: a significant difference.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -36,7 +34,7 @@ class Row:
     Attributes:
         method: the compared method.
         label: the scene or scenes.
-        low, high: the interval; None for a single run.
+        interval: None for a single run.
         joint: draw a thick bar.
         significant: fill the mark.
         method_index, scene_index: for the page's filter.
@@ -46,8 +44,7 @@ class Row:
     label: str
     look: int
     middle: float
-    low: float | None
-    high: float | None
+    interval: Interval | None
     joint: bool
     significant: bool
     method_index: int | None = None
@@ -72,8 +69,8 @@ def forest_picture(out_dir: Path, forest: Forest, alt: str) -> Picture:
             "against": forest.against,
             "on": row.label,
             "difference_db": row.middle,
-            "low": row.low,
-            "high": row.high,
+            "low": row.interval and row.interval.low,
+            "high": row.interval and row.interval.high,
             "interval": "all comparisons at once" if row.joint else "this row alone",
         }
         for row in forest.rows
@@ -108,14 +105,12 @@ def forest_of(study: Study, outcomes: Outcomes) -> Forest:
 def _row(study: Study, c: Comparison, label: str, interval: Interval | None, joint: bool) -> Row:
     families = [family.label for family in study.families]
     family = c.method.family.label
-    low, high = (None, None) if interval is None else (interval.low, interval.high)
     return Row(
         c.method.name,
         label,
         looks(families)[family],
         c.difference,
-        low,
-        high,
+        interval,
         joint,
         joint and excludes_zero(interval),
         families.index(family),
@@ -128,7 +123,9 @@ def limits(rows: Sequence[Row]) -> tuple[float, float]:
     """
 
     def ends(some_rows: Sequence[Row]) -> list[float]:
-        return [v for r in some_rows for v in (r.low, r.middle, r.high) if v is not None] + [0.0]
+        inside = [row.interval for row in some_rows if row.interval]
+        middles = [row.middle for row in some_rows]
+        return [0.0, *middles, *(end for i in inside for end in (i.low, i.high))]
 
     thick = ends([row for row in rows if row.joint] or rows)
     low, high = min(thick), max(thick)
@@ -186,9 +183,10 @@ def _places(forest: Forest) -> tuple[list[float], list[tuple[float, str]]]:
 def _draw_row(axes: Axes, row: Row, at: float, marks: Marks) -> None:
     look = look_of(row.look)
     artists = []
-    if row.low is not None and row.high is not None:
+    if row.interval is not None:
+        ends = [row.interval.low, row.interval.high]
         artists += axes.plot(
-            [row.low, row.high], [at, at], color=look.color, linewidth=3.2 if row.joint else 1.0,
+            ends, [at, at], color=look.color, linewidth=3.2 if row.joint else 1.0,
             solid_capstyle="butt", alpha=1 if row.joint else 0.75,
         )  # fmt: skip
     artists += axes.plot(

@@ -9,8 +9,6 @@ report. The looks of the project's methods are in `looks.csv`; any other follows
 name, unless another series of the same figures has it.
 """
 
-from __future__ import annotations
-
 import csv
 import functools
 import hashlib

@@ -1,16 +1,10 @@
-"""Pictures of a scene: a close-up of all methods, and maps of where the runs of one method differ.
+"""Pictures of a scene: a close-up of all methods.
 
 The close-up shows the median view by PSNR, not the one with the largest difference. The crop is the
-window with the largest variance over the methods, averaged over the window. A map shows the
-standard deviation (n - 1) over seeds of each pixel of the 8-bit renders. It is the root mean square
-over the channels, in units of the full range.
+window with the largest variance over the methods, averaged over the window.
 """
 
-from __future__ import annotations
-
-import io
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -18,16 +12,14 @@ from framework.errors import require
 from framework.files.whole import write_whole
 from framework.records.run_files import ERROR_SCALE
 from framework.report.figures.chart import Picture
-from framework.report.figures.grid import COLUMNS, Band, Cell, draw_band
+from framework.report.figures.grid import COLUMNS, Cell, draw_grid
 from framework.report.figures.views import choose_views, image_file, picture, psnr_text
-from framework.report.study.study import Study
+from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import listed, outside
 
-KINDS = ("closeup", "sigma", "images")  # begin the names of pictures; older reports used all
+CLOSEUP = "closeup"  # begins the names of pictures
 SHARE = 4  # of the width and height that a crop takes: one part in so many
-FRAME = np.array([255, 215, 0], dtype=np.uint8)
 BESIDE = COLUMNS - 1  # methods in a row, after the ground truth
-JPEG: dict[str, Any] = {"quality": 90, "subsampling": 0}  # colour edges of maps stay sharp
 
 
 def draw_closeup(study: Study, scene: str) -> Picture | None:
@@ -38,29 +30,23 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
         return None
     view, why = [pair for pair in shown.views if "median" in pair[1]][-1]
     truth = picture(shown.runs[0], view, "truth")
-    renders: list[np.ndarray] = []
-    errors: list[np.ndarray] = []
-    for run in shown.runs:
-        for kind, pictures in (("render", renders), ("error", errors)):
-            pictures.append(picture(run, view, kind))
-            size = pictures[-1].shape
-            require(
-                size == truth.shape,
-                f"{image_file(run, view, kind)}: expected {truth.shape[1]}x{truth.shape[0]} as the"
-                f" photo, got {size[1]}x{size[0]}; run again, or remove the run's folder",
-            )
+    renders, errors = (
+        [_of_size(truth, run, view, kind) for run in shown.runs] for kind in ("render", "error")
+    )
     window = _window(renders if len(renders) > 1 else [truth, *renders])
-    groups: list[tuple[Cell, ...]] = []
-    for k in range(0, len(shown.runs), BESIDE):
-        runs, pictures = shown.runs[k : k + BESIDE], [truth, *renders[k : k + BESIDE]]
-        names = ["ground truth", *(f"{run.method}\n{psnr_text(run, view)}" for run in runs)]
-        empty = Cell("", np.full_like(truth, 255))
-        groups += [
-            tuple(Cell(n, _framed(p, window)) for n, p in zip(names, pictures, strict=True)),
-            tuple(Cell("", np.ascontiguousarray(p[window])) for p in pictures),
-            (empty, *(Cell("error", error) for error in errors[k : k + BESIDE])),
+    names = [f"{run.method}\n{psnr_text(run, view)}" for run in shown.runs]
+    rows = []
+    for k in range(0, len(names), BESIDE):
+        part = slice(k, k + BESIDE)
+        pictures = [truth, *renders[part]]
+        titles = ["ground truth", *names[part]]
+        rows += [
+            [Cell(title, p, window) for title, p in zip(titles, pictures, strict=True)],
+            [Cell("", p[window]) for p in pictures],
+            [Cell("", truth[:0]), *(Cell("error", error) for error in errors[part])],
         ]
-    band = Band(f"{scene}: {outside(view)}", tuple(groups), ERROR_SCALE)
+    name = f"{study.file_of(CLOSEUP, scene)}.jpg"
+    write_whole(study.out_dir / name, draw_grid(f"{scene}: {outside(view)}", rows, ERROR_SCALE))
     reason = "the only one" if len(shown.views) == 1 else why.replace("; ", " and ")
     seeds = listed(sorted({run.seed for run in shown.runs}))
     caption = (
@@ -69,10 +55,19 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
         f" (mean absolute difference over the channels, black = 0, pale yellow = {ERROR_SCALE:g} or"
         " more)."
     )
-    name, buffer = f"{study.file_of('closeup', scene)}.jpg", io.BytesIO()
-    draw_band(band).save(buffer, format="JPEG", **JPEG)
-    write_whole(study.out_dir / name, buffer.getvalue())
     return Picture((name,), f"All methods on {scene}", caption)
+
+
+def _of_size(truth: np.ndarray, run: ReportRun, view: str, kind: str) -> np.ndarray:
+    """A picture of the size of the photo. Raises UserError for another one."""
+    pixels = picture(run, view, kind)
+    height, width = truth.shape[:2]
+    require(
+        pixels.shape == truth.shape,
+        f"{image_file(run, view, kind)}: expected {width}x{height} as the photo, got"
+        f" {pixels.shape[1]}x{pixels.shape[0]}; run again, or remove the run's folder",
+    )
+    return pixels
 
 
 def _window(pictures: list[np.ndarray]) -> tuple[slice, slice]:
@@ -90,24 +85,9 @@ def _window(pictures: list[np.ndarray]) -> tuple[slice, slice]:
     return slice(int(top), int(top) + height), slice(int(left), int(left) + width)
 
 
-def _framed(picture: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
-    """With a frame around the window."""
-    rows, columns = window
-    thick = max(1, picture.shape[1] // 160)
-    framed = picture.copy()
-    framed[rows, columns] = FRAME
-    inner = (
-        slice(rows.start + thick, rows.stop - thick),
-        slice(columns.start + thick, columns.stop - thick),
-    )
-    framed[inner] = picture[inner]
-    return framed
-
-
 def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
     """Remove the pictures of an earlier report, except those of these scenes."""
-    kept = {f"{study.file_of(kind, scene)}.jpg" for kind in KINDS for scene in scenes}
-    for kind in KINDS:
-        for path in study.out_dir.glob(f"{kind}_*.jpg"):
-            if path.name not in kept and not path.is_dir():
-                path.unlink()
+    kept = {f"{study.file_of(CLOSEUP, scene)}.jpg" for scene in scenes}
+    for path in study.out_dir.glob(f"{CLOSEUP}_*.jpg"):
+        if path.name not in kept and not path.is_dir():
+            path.unlink()

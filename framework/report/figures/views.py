@@ -1,7 +1,5 @@
 """Which runs and test views a report shows pictures of, and their image files."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -77,15 +75,10 @@ def picture(run: ReportRun, view: str, kind: str) -> np.ndarray:
     return pixels
 
 
-def psnr_of(run: ReportRun, view: str) -> float | None:
-    """A view's PSNR in dB; None where it is infinite."""
-    return None if math.isnan(run.psnr[view]) else run.psnr[view]
-
-
 def psnr_text(run: ReportRun, view: str) -> str:
-    """That, as below a picture."""
-    psnr = psnr_of(run, view)
-    return "PSNR infinite" if psnr is None else f"{psnr:.2f} dB"
+    """A view's PSNR as below a picture."""
+    psnr = run.psnr[view]
+    return "PSNR infinite" if math.isnan(psnr) else f"{psnr:.2f} dB"
 
 
 def _pick(runs: Sequence[ReportRun]) -> dict[str, str]:

@@ -11,8 +11,6 @@ strengths, it covers a zero of the truth with the stated probability (Fieller 19
 the hull of these strengths, so it is wider if they are not connected.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

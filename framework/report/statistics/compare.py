@@ -11,8 +11,6 @@ Conditions of one scene, such as other photos of it or wrong poses, are not inde
 they are averaged to one value too.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace

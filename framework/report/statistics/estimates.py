@@ -8,8 +8,6 @@ Several comparisons are corrected together (Bonferroni). Their intervals hold jo
 one excludes zero exactly if p times their number is below 5 %.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence
@@ -31,28 +29,11 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Spread:
-    """n values: mean with interval, standard deviation (n - 1) with interval; None below two."""
-
-    n: int
-    mean: float
-    mean_interval: Interval | None
-    sd: float | None
-    sd_interval: Interval | None
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """The ends of the bar around the mean: its interval, or the mean itself without one."""
-        inside = self.mean_interval or Interval(self.mean, self.mean)
-        return inside.low, inside.high
-
-
-@dataclass(frozen=True)
 class Estimate:
     """A mean of n values.
 
     Attributes:
-        sd: their standard deviation (n - 1), None below two.
+        sd: their standard deviation (n - 1), None below two, as are the intervals.
     """
 
     n: int
@@ -65,6 +46,21 @@ class Estimate:
             return None
         half = t_quantile(self.n - 1, tests) * self.sd / math.sqrt(self.n)
         return Interval(self.mean - half, self.mean + half)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The ends of the bar around the mean: its interval, or the mean itself without one."""
+        inside = self.interval() or Interval(self.mean, self.mean)
+        return inside.low, inside.high
+
+    @property
+    def sd_interval(self) -> Interval | None:
+        """The interval of the standard deviation."""
+        if self.sd is None:
+            return None
+        ends = (math.sqrt((self.n - 1) / quantile) for quantile in chi2_quantiles(self.n - 1))
+        low, high = (self.sd * end for end in ends)
+        return Interval(low, high)
 
     @property
     def p(self) -> float | None:
@@ -91,29 +87,11 @@ def deviation(values: np.ndarray) -> float:
     return float(values.std(ddof=1)) if np.ptp(values) > 0 else 0.0
 
 
-def spread(values: Sequence[float]) -> Spread:
-    """Mean and standard deviation with their intervals.
-
-    Raises:
-        ValueError: without values.
-    """
-    if len(values) == 0:
-        raise ValueError("spread: expected at least one value")
-    mean = estimate(values)
-    inside = None if mean.sd is None else _sd_interval(mean.sd, mean.n)
-    return Spread(mean.n, mean.mean, mean.interval(), mean.sd, inside)
-
-
 @functools.cache
 def t_quantile(freedom: int, tests: int = 1) -> float:
     """The t that a t variate exceeds in absolute value with probability 1 - `CONFIDENCE`, shared by
     so many tests."""
     return float(special.stdtrit(freedom, 1 - (1 - CONFIDENCE) / (2 * tests)))
-
-
-def _sd_interval(sd: float, n: int) -> Interval:
-    low, high = (sd * math.sqrt((n - 1) / quantile) for quantile in chi2_quantiles(n - 1))
-    return Interval(low, high)
 
 
 @functools.cache

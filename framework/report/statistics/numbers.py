@@ -1,14 +1,12 @@
 """Numbers as text, with as many digits as their uncertainty supports: it is shown with two
 significant digits, and the number to the same decimal place."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from framework.report.statistics.estimates import Interval, spread
+from framework.report.statistics.estimates import Interval, estimate
 
 ABSENT = "–"
 NOUGHT = 1e-9  # what rounding leaves of a zero
@@ -36,10 +34,11 @@ def format_mean(values: Sequence[float | None], most: int, show_half: bool = Fal
     present = [value for value in values if value is not None]
     if not present or len(present) < len(values):
         return ABSENT
-    summary = spread(present)
-    if summary.mean_interval is None:
+    summary = estimate(present)
+    interval = summary.interval()
+    if interval is None:
         return f"{summary.mean:.{most}f}"
-    half = (summary.mean_interval.high - summary.mean_interval.low) / 2
+    half = (interval.high - interval.low) / 2
     places = decimals(half, most)
     if show_half and half > 0:
         return f"{summary.mean:.{places}f} ± {half:.{places}f}"
@@ -50,7 +49,7 @@ def format_sigma(values: Sequence[float]) -> str:
     """`0.16 [0.084 to 1.0] (n = 3)`."""
     if len(values) == 0:
         return ABSENT
-    summary = spread(values)
+    summary = estimate(values)
     if summary.sd is None or summary.sd_interval is None:
         return f"{ABSENT} (n = 1)"
     return (

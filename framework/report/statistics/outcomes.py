@@ -3,8 +3,6 @@
 Over several scenes, a seed's PSNR is the mean over the scenes, for seeds that finished on all.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from framework.report.statistics.compare import Comparison, compare, corrected
-from framework.report.statistics.estimates import Spread, spread
+from framework.report.statistics.estimates import Estimate, estimate
 from framework.report.statistics.variance import (
     SigmaComparison,
     compare_sigmas,
@@ -36,7 +34,7 @@ class Outcomes:
     """
 
     best: Method
-    psnr: dict[Method, Spread]
+    psnr: dict[Method, Estimate]
     seeds: dict[Method, dict[int, float]]
     comparisons: dict[Method, Comparison]
     sigmas: dict[Method, SigmaComparison]
@@ -47,7 +45,9 @@ class Outcomes:
 def outcomes(study: Study) -> Outcomes:
     """The outcomes of all methods."""
     values = {m: seed_means(study.of(method=m), study.tested) for m in study.methods}
-    psnr = {method: spread(list(by_seed.values())) for method, by_seed in values.items() if by_seed}
+    psnr = {
+        method: estimate(list(by_seed.values())) for method, by_seed in values.items() if by_seed
+    }
     sigmas = {
         method: compare_sigmas(method, values[method], base, others)
         for method in study.methods

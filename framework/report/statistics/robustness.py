@@ -1,12 +1,10 @@
 """The worst case: worst view and seed, 5th percentile, and how often a run fails.
 
-A run fails if it ended with an error, has no finite test PSNR or did not converge, which means that
-its last evaluation is at least `FAILURE_DB` below its best. It also fails if it is at least
-`FAILURE_DB` below the baseline run of the same scene, budget and seed. The interval of the failure
+A run fails if it ended with an error, has no finite test PSNR or did not converge: its last
+evaluation is at least `FAILURE_DB` below its best. It also fails if it is at least `FAILURE_DB`
+below the baseline run of the same scene, budget and seed. The interval of the failure
 rate is Wilson's (1927).
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence

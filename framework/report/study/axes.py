@@ -5,8 +5,6 @@ A budget is part of a method's name, a stress part of a scene's; what remains of
 points of a curve together.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """Read the runs of one or more studies, with the method and the scene of each."""
 
-from __future__ import annotations
-
 import os
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
@@ -13,11 +11,10 @@ from framework.errors import UserError, os_line, printable_line, require
 from framework.files.limits import RUNS
 from framework.metrics.values import Missing
 from framework.records import RUN_FOLDERS
-from framework.records.archive import has_archive, read_archive
-from framework.records.failure import FAILED, read_failure
-from framework.records.record import LEARNED, RECORD, Run, read_run
+from framework.records.archive import Entry, has_archive, read_archive
+from framework.records.record import FAILED, LEARNED, RECORD, Run, RunRecord, read_failure, read_run
 from framework.records.search import read_search
-from framework.report.study.methods import Method, Naming, name_methods
+from framework.report.study.methods import Method, name_methods
 from framework.report.study.scenes import scene_labels
 from framework.report.study.study import DAMAGED, FailedRun, ReportRun, Study
 from framework.report.study.words import code, natural, outside
@@ -33,8 +30,8 @@ def collect(
     """Read every record below the folders.
 
     Args:
-        study_dirs: folders with runs, or with their archive (`framework.records.archive`).
-        out_dir: folder of the report; by default the first folder.
+        study_dirs: folders with runs, or with an archive of them.
+        out_dir: folder of the report. The default is the first folder.
         rival: display or registry name of the baseline; "" for training without a method.
 
     Raises:
@@ -42,7 +39,7 @@ def collect(
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins, archived = _gathered(folders)
-    labelled, named, naming = _label(runs, failed)
+    labelled, named, notes = _label(runs, failed)
     missing = _missing(labelled, named, origins)
     unique, repeated = _without_repeats(labelled)
     unique.sort(key=lambda r: (natural(r.scene), r.method.order, r.seed))
@@ -51,7 +48,7 @@ def collect(
         out_dir or folders[0],
         tuple(unique),
         tuple(named),
-        (*naming.notes, *repeated),
+        (*notes, *repeated),
         # the trials of a search are no full cross: each is a separate method
         tuple(missing) if searched is None else (),
         linked=not archived,
@@ -86,40 +83,24 @@ def _gathered(
     in an archive alone."""
     runs, failed, origins, archived = [], [], [], []
     for folder in folders:
-        complete, lost = _read(folder)
-        if not complete and not lost and has_archive(folder):
-            complete, lost = _archived(folder)
+        entries = _read(folder)
+        if not entries and has_archive(folder):
+            entries = read_archive(folder)
             archived.append(folder)
         require(
-            len(complete) + len(lost) > 0,
+            len(entries) > 0,
             f"{folder}: expected a study's folder with runs in it, got none; give the folder that"
             " holds runs/, as reports/embedded",
         )
+        complete = [entry.run for entry in entries if entry.complete]
         runs += complete
-        failed += lost
         origins += [folder] * len(complete)
+        failed += [FailedRun(e.run, e.kind, e.again) for e in entries if not e.complete]
     return runs, failed, origins, archived
 
 
-def _archived(folder: Path) -> tuple[list[Run], list[FailedRun]]:
-    """The complete and the failed runs in a folder's archive."""
-    entries = read_archive(folder)
-    complete = [entry.run for entry in entries if entry.run.record.status == "complete"]
-    lost = [entry for entry in entries if entry.run.record.status != "complete"]
-    return complete, [_failed(entry.run, entry.kind, entry.again) for entry in lost]
-
-
-def _failed(run: Run, kind: str, again: str) -> FailedRun:
-    r = run.record
-    error = r.error or "unknown error"
-    return FailedRun(run.run_dir, error, kind, r.overrides, r.config, r.provenance, again)
-
-
-def _read(folder: Path) -> tuple[list[Run], list[FailedRun]]:
-    """All complete and all failed runs below `folder`, by path; one that no run wrote counts as
-    failed."""
-    complete: list[Run] = []
-    failed: list[FailedRun] = []
+def _read(folder: Path) -> list[Entry]:
+    """All runs below `folder`, by path; one that no run wrote counts as failed."""
     paths = run_dirs(folder)
     studies = sorted({path.parent.parent for path in paths if path.parent.name == RUN_FOLDERS})
     require(
@@ -128,16 +109,14 @@ def _read(folder: Path) -> tuple[list[Run], list[FailedRun]]:
         f" as {studies[0] if studies else folder}, or several with --out DIR, or see fishersplat"
         " leaderboard",
     )
+    entries = []
     for path in paths:
         try:
-            run = _read_run(path)
+            entries.append(_read_run(path))
         except UserError as error:
-            run = FailedRun(path, _within(path, error), DAMAGED, (), {}, {})
-        if isinstance(run, Run):
-            complete.append(run)
-        else:
-            failed.append(run)
-    return complete, failed
+            record = RunRecord.failed(_within(path, error), {}, (), {})
+            entries.append(Entry(Run(path, record), DAMAGED))
+    return entries
 
 
 def _within(path: Path, error: UserError) -> str:
@@ -146,44 +125,44 @@ def _within(path: Path, error: UserError) -> str:
     return below.replace(printable_line(f"{path}:"), printable_line(f"{path.name}:"))
 
 
-def _read_run(path: Path) -> Run | FailedRun:
+def _read_run(path: Path) -> Entry:
     """Raises UserError if the files in the folder `path` are not those of a run."""
     if not os.path.lexists(path / RECORD):
         left = read_failure(path)
-        return FailedRun(path, left.error, left.kind, left.overrides, {}, {}, left.again)
-    run = read_run(path)
-    if run.record.status == "complete":
-        return run
-    last = read_failure(path) if os.path.lexists(path / FAILED) else None
-    return _failed(run, *((last.kind, last.again) if last else ("", "")))
+        record = RunRecord.failed(left.error, {}, left.overrides, {})
+        return Entry(Run(path, record), left.kind, left.again)
+    entry = Entry(read_run(path))
+    if entry.complete or not os.path.lexists(path / FAILED):
+        return entry
+    last = read_failure(path)
+    return replace(entry, kind=last.kind, again=last.again)
 
 
 def _label(
     runs: Sequence[Run], failed: Sequence[FailedRun]
-) -> tuple[list[ReportRun], list[FailedRun], Naming]:
-    """Name all runs together, so that a failed run has the method that it has elsewhere."""
-    readable = [run for run in failed if run.config]
-    configs = [run.record.config for run in runs] + [run.config for run in readable]
-    overrides = [run.record.overrides for run in runs] + [run.overrides for run in readable]
-    scenes = scene_labels(configs, [run.record.scene for run in runs] + [None] * len(readable))
-    naming = name_methods(configs, overrides, [scene.full for scene in scenes])
-    cut = len(runs)
+) -> tuple[list[ReportRun], list[FailedRun], list[str]]:
+    """Name all runs together, so that a failed run has the method that it has elsewhere; with notes
+    on the names."""
+    readable = [run for run in failed if run.record.config]
+    records = [run.record for run in runs] + [run.record for run in readable]
+    configs = [record.config for record in records]
+    scenes = scene_labels(configs, [record.scene for record in records])
+    overrides = [record.overrides for record in records]
+    methods, notes = name_methods(configs, overrides, [scene.full for scene in scenes])
     learned = [str(run.record.provenance.get(LEARNED) or "") for run in runs]
-    weights = {m: outside(w) for m, w in zip(naming.methods, learned, strict=False) if w}
-    methods = [replace(method, learned=weights.get(method, "")) for method in naming.methods]
-    naming = replace(naming, methods=methods)
-    parts = zip(runs, naming.methods[:cut], scenes[:cut], strict=True)
-    labels = {
-        run.run_dir: (method, scene.full)
-        for run, method, scene in zip(readable, naming.methods[cut:], scenes[cut:], strict=True)
-    }
-    named = [
-        replace(run, method=labels[run.run_dir][0], scene=labels[run.run_dir][1])
-        if run.run_dir in labels
-        else run
-        for run in failed
-    ]
-    return [ReportRun(*part) for part in parts], named, naming
+    weights = {m: outside(w) for m, w in zip(methods, learned, strict=False) if w}
+    methods = [replace(method, learned=weights.get(method, "")) for method in methods]
+    labels = list(zip(methods, scenes, strict=True))
+    complete = [ReportRun(run, *label) for run, label in zip(runs, labels, strict=False)]
+    rest = iter(labels[len(runs) :])
+    named = []
+    for run in failed:
+        if run.record.config:
+            method, scene = next(rest)
+            named.append(replace(run, method=method, scene=scene.full))
+        else:
+            named.append(run)
+    return complete, named, notes
 
 
 def _missing(

@@ -141,23 +141,16 @@ def _squeezed(text: str) -> str:
     return "".join(text.split()).lower()
 
 
-@dataclass(frozen=True)
-class Naming:
-    """The methods of runs in their order, and notes on how they are named."""
-
-    methods: list[Method]
-    notes: list[str]
-
-
 def name_methods(
     configs: Sequence[Mapping[str, Any]], overrides: Sequence[Sequence[str]], scenes: Sequence[str]
-) -> Naming:
-    """The method of each run, from its configuration, its command line and its scene's label."""
+) -> tuple[list[Method], list[str]]:
+    """The method of each run, from its configuration, its command line and its scene's label; and
+    notes on how they are named."""
     methods = methods_of(configs)
     recipes = by_recipe(list(zip(methods, overrides, scenes, strict=True)))
     if recipes:
-        return Naming([recipes[method] for method in methods], [RECIPE_NOTE])
-    return Naming(methods, [])
+        return [recipes[method] for method in methods], [RECIPE_NOTE]
+    return methods, []
 
 
 def methods_of(configs: Sequence[Mapping[str, Any]]) -> list[Method]:

@@ -1,8 +1,6 @@
 """Facts that a reader must know about the runs of a study before trusting the numbers; the template
 `notes.jinja` words them."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections import defaultdict
@@ -11,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from framework.errors import UserError, printable_line
-from framework.records.failure import FAILED, read_failure
-from framework.records.record import EXPOSURE, LEARNED
+from framework.records.record import EXPOSURE, FAILED, LEARNED, read_failure
 from framework.report.study.methods import Method
 from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import code, outside

@@ -1,17 +1,14 @@
 """What plugins say about themselves: display names, papers, variants, and defaults of options.
 
-A record says nothing about an option that was added after the run: the option's default counts, or
-the value in `BEFORE`, where new options changed what happens by default.
+A record says nothing about an option that was added after the run: the option's default counts.
 """
-
-from __future__ import annotations
 
 import dataclasses
 import functools
 import re
 import sys
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from framework.errors import UserError
@@ -20,16 +17,6 @@ from framework.registry import GROUPS, JOINED_BY, lookup, option_fields, plain_f
 from framework.report.study.words import Flat
 
 Owner = tuple[str, str]  # of options: a group and the plugin's name
-TRAINER: Owner = ("trainer", "")
-BEFORE: Mapping[Owner, dict[str, Any]] = {
-    TRAINER: {
-        **{"exposure": False, "depth_smoothness": 0.0, "binocular": 0.0},
-        **{"pace_steps": 0, "pace_views": 0, "members": 1, "pseudo_factor": 1},
-    },
-    ("capacity", "evidence"): {"grow": 0.0},
-    ("init", "stereo"): {"completion": 0.0},
-    ("reg", "depth_density"): {"compensate": False},
-}
 PARTS = ("scene", "depth", "init")
 
 
@@ -117,7 +104,7 @@ def _owner(group: str, config: Flat) -> Owner:
 def _defaults(group: str, name: str) -> Flat:
     """Option -> default of the trainer or a plugin; of several joined ones as `uar.p`."""
     if group == "trainer":
-        return _values(plain_fields(TrainerOptions)) | BEFORE[TRAINER]
+        return _values(plain_fields(TrainerOptions))
     values: dict[str, Any] = {}
     names = name.split(JOINED_BY)
     for one in names:
@@ -126,8 +113,7 @@ def _defaults(group: str, name: str) -> Flat:
             return {}
         fields = option_fields(cls) if group in GROUPS else plain_fields(cls)
         prefix = f"{one}." if len(names) > 1 else ""
-        of_one = _values(fields) | BEFORE.get((group, one), {})
-        values |= {f"{prefix}{key}": value for key, value in of_one.items()}
+        values |= {f"{prefix}{key}": value for key, value in _values(fields).items()}
     return values
 
 

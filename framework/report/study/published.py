@@ -1,8 +1,6 @@
 """Published figures of methods, from `conf/published/NAME.yaml`: a file per method with its title,
 its paper, and what its authors and others measured on data sets and scenes."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

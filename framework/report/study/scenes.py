@@ -5,8 +5,6 @@ that "helped", held-out training photos took part in a choice, and no test photo
 the file lacks are the user's.
 """
 
-from __future__ import annotations
-
 import csv
 import functools
 from collections import defaultdict

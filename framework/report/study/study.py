@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from framework.metrics.values import METRICS, Missing
+from framework.records.archive import Entry
 from framework.records.record import LPIPS, POSE_CHECK, Run, RunRecord
 from framework.records.search import Searched
 from framework.report.study.axes import Axis
@@ -105,28 +106,23 @@ class ReportRun:
 
 
 @dataclass(frozen=True)
-class FailedRun:
+class FailedRun(Entry):
     """A run that ended with an error.
 
     Attributes:
-        kind: of the error, a word or two; "" if unknown.
-        again: the command that repeats the run; "" if unknown.
         method, scene: None and "" if the run left no configuration.
     """
 
-    run_dir: Path
-    error: str
-    kind: str
-    overrides: tuple[str, ...]
-    config: Mapping[str, Any]
-    provenance: Mapping[str, Any]
-    again: str = ""
     method: Method | None = None
     scene: str = ""
 
     @property
+    def record(self) -> RunRecord:
+        return self.run.record
+
+    @property
     def seed(self) -> int | None:
-        return int(self.config["seed"]) if "seed" in self.config else None
+        return int(self.record.config["seed"]) if "seed" in self.record.config else None
 
 
 @dataclass(frozen=True)

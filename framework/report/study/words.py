@@ -1,7 +1,5 @@
 """Texts from records and options, made safe to show; lists of names."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
