@@ -54,7 +54,7 @@ def composing() -> Iterator[None]:
         yield
     except USER_ERRORS:
         raise
-    except (ValueError, OverflowError, RecursionError) as error:
+    except (ValueError, ArithmeticError, RecursionError) as error:
         raise UserError(
             f"command line: expected options of the configuration, got what Hydra refuses"
             f" ({printable_line(str(error))[:160]}); --help lists the options"
@@ -132,6 +132,11 @@ def _reworded(error: BaseException) -> str | None:
         return (
             f"command line: cannot read {error.override!r}; write KEY=VALUE and put quotes around"
             " a value with spaces or special characters: \"key='a b'\""
+        )
+    if isinstance(error, HydraException) and "INTERVAL_SWEEP" in str(error):
+        return (
+            "multirun: expected a list of values, such as choice(0,0.5,1) or range(0,1.1,0.5), got"
+            " an interval; list the values"
         )
     if isinstance(error, HydraException) and (several := SEVERAL.search(str(error))):
         word = several[1] or several[2]

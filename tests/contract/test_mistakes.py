@@ -117,7 +117,10 @@ class Mine(Regularizer):
     [
         ("import sys; sys.exit(0)", r"x.py: importing it: called sys.exit\(0\)"),
         (define("a: Undefined = 3"), "name 'Undefined' is not defined"),
-        (define("defaults: ClassVar[dict] = {'weight': 'x'}"), "must be a finite number, got 'x'"),
+        (
+            define("defaults: ClassVar[dict] = {'weight': 'x'}"),
+            "finite numbers .* got {'weight': 'x'}",
+        ),
         (define("defaults: ClassVar[dict] = 3"), "`defaults` must be a dict"),
         (define("def check_span(self, *_): raise SystemExit(0)"), "reg=mine: check_span: called"),
     ],

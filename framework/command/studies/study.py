@@ -28,7 +28,7 @@ from framework.command.config.check import check
 from framework.command.config.naming import plain, study_dir
 from framework.command.hydra_inside import jobs_of
 from framework.command.launchers.supported import watch_workers
-from framework.command.overrides import check_method, check_run_count, parsed
+from framework.command.overrides import check_method, parsed
 from framework.command.program import program
 from framework.command.studies.closing import closing, short_path
 from framework.command.studies.estimate import announce
@@ -191,10 +191,10 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
     assert isinstance(params, dict)
     parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
     typed = parser.parse_overrides(list(config.hydra.overrides.task))
-    check_run_count(typed, params)
     check_method(typed, params)
     swept = parser.parse_overrides([f"{key!s}={value}" for key, value in params.items()])
-    jobs = jobs_of([*swept, *typed])
+    with composing():
+        jobs = jobs_of([*swept, *typed])
     empty = [str(o.input_line) for o in (*swept, *typed) if not jobs and not jobs_of([o])]
     require(len(jobs) > 0, f"multirun: {' '.join(empty)} gives no value, so there is no run")
     return jobs
