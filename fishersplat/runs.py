@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from fishersplat.configuration import configuration
+from framework.command.config.composed import configuration
 from framework.errors import require
 from framework.records.record import RunRecord, read_run
 from framework.records.run_files import Table

@@ -34,6 +34,7 @@ from framework.registry import ActivePlugin
 from framework.run import answers, budget
 from framework.run.members import IDLE, in_turn, join, member_seed, second_seed, tuning_options
 from framework.run.student import after_lesson, student_options, teacher
+from framework.shapes import check_gaussians
 from framework.train import schedule
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints, pack, remove_checkpoints
@@ -289,10 +290,13 @@ def initial(
     seed: int,
 ) -> Gaussians:
     """Make the initial Gaussians with the chosen initializer."""
-    builder = registry.part("init", config["init"])
-    with answers.called(f"init={config['init']['name']}: build", type(builder)):
-        gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
-    return answers.gaussians(config["init"]["name"], type(builder), gaussians, options.sh_degree)
+    builder, degree = registry.part("init", config["init"]), options.sh_degree
+    return answers.ask(
+        f"init={config['init']['name']}: build",
+        builder,
+        partial(builder.build, scene.training, depth, degree, seed),
+        lambda value: check_gaussians("the Gaussians", value, None, (degree + 1) ** 2 - 1),
+    )
 
 
 def _paced(run: Run, config: Mapping[str, Any], progress: Progress) -> TrainerOptions:

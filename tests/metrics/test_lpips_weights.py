@@ -13,7 +13,7 @@ import torch
 from framework.command import fetch
 from framework.errors import UserError
 from framework.metrics import lpips, lpips_weights
-from framework.metrics.lpips_convert import read_tree
+from framework.metrics.lpips_weights import read_tree
 from tests.metrics.forged_weights import states, whole_archive
 
 

@@ -1,4 +1,4 @@
-"""Compose a configuration from the words of the command line."""
+"""Compose the configuration of a single run from the words of the command line."""
 
 from __future__ import annotations
 
