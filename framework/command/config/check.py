@@ -9,7 +9,6 @@ from typing import Any
 
 from framework import registry
 from framework.command.config.schema import (
-    CONF_DIR,
     GROUPS,
     METRICS,
     OBJECT_GROUPS,
@@ -18,7 +17,6 @@ from framework.command.config.schema import (
     rows,
 )
 from framework.errors import UserError, nearest_hint, require
-from framework.files.documents import read_yaml
 from framework.metrics.values import measures
 from framework.options import TrainerOptions
 from framework.run import trackers
@@ -83,23 +81,6 @@ def _check_scalars(seed: int, threads: int, study: str | None) -> None:
         f"study: expected a folder name of letters, digits, _ . and -, or several joined by /, got"
         f" {study!r}; rename it",
     )
-
-
-def places_of(group: str, key: str, names: Iterable[str]) -> str:
-    """The choices of a group that have an option, as `'reg.uar.p' or 'reg.uniform.p'`."""
-    return " or ".join(f"'{group}.{n}.{key}'" for n in names if key in _options(group, n))
-
-
-def _options(group: str, name: str) -> set[str]:
-    """The options of a choice or a variant (`uar_hard`); empty for an unknown name."""
-    while group in OBJECT_GROUPS and name not in choices(group):
-        file = CONF_DIR / group / f"{name}.yaml"
-        read = read_yaml(file) if file.is_file() else {}
-        of = [one for one in read.get("defaults", ()) if isinstance(one, str) and one != "_self_"]
-        if not of:
-            return set()
-        name = of[0]
-    return {row[0] for row in rows(group, name)} if group in OBJECT_GROUPS else set()
 
 
 def _check_keys(prefix: str, keys: Iterable[str], expected: Iterable[str]) -> None:

@@ -34,7 +34,7 @@ from framework.command.studies.closing import closing, short_path
 from framework.command.studies.estimate import announce
 from framework.command.studies.ready import check_links, check_ready
 from framework.compute.stopwatch import Stopwatch, duration
-from framework.errors import UserError, mendable, os_line, printable_line, require
+from framework.errors import UserError, machine_line, printable_line, require
 from framework.files.cache import cache_dir, usable
 from framework.files.locks import locked
 from framework.files.whole import remove_temporaries, write_whole
@@ -283,9 +283,9 @@ def build_reports() -> None:
         except Exception as error:
             # not the number of a run: a killed one has no outcome
             number = max(job_count() or 0, 1 + max(outcome.number for outcome in outcomes()))
-            bad_input, again = isinstance(error, UserError), f"{program()} report {folder}"
-            reason = f"{type(error).__name__}: {error}"
-            if isinstance(error, OSError) and mendable(error):
-                bad_input, reason = True, os_line(error)
+            reason = machine_line(error)
+            fixable = isinstance(error, UserError) or reason is not None
+            reason = reason or f"{type(error).__name__}: {error}"
             message = printable_line(f"report of {short_path(folder)}: {reason}")
-            add_outcome(Outcome(number, str(folder), message, REPORT, again, bad_input=bad_input))
+            again = f"{program()} report {folder}"
+            add_outcome(Outcome(number, str(folder), message, REPORT, again, bad_input=fixable))
