@@ -76,14 +76,11 @@ def register(group: str, name: str) -> Callable[[C], C]:
         _check_class(group, name, cls)
         classes = _table(group)
         other = classes.get(name)
-        if other is not None and (other.__module__, other.__qualname__) != (
-            cls.__module__,
-            cls.__qualname__,
-        ):
-            raise UserError(
-                f"{group}={name}: two plugins claim this name, {other.__module__} and"
-                f" {cls.__module__}; rename one"
-            )
+        places = [f"{one.__module__}.{one.__qualname__}" for one in (other or cls, cls)]
+        require(
+            places[0] == places[1],
+            f"{group}={name}: two plugins claim this name, {' and '.join(places)}; rename one",
+        )
         cls.name, cls.group = name, group  # type: ignore[attr-defined]
         classes[name] = cls
         return cls

@@ -58,8 +58,16 @@ class Slot:
 def job_of(words: Sequence[str]) -> Job:
     """The run that the words of a command line describe, checked."""
     run = configuration(words)
-    again = f"{program()} {' '.join(words)}"
-    return Job(0, str(run.folder), run.values, list(words), "", False, True, again)
+    return Job(
+        number=0,
+        run_dir=str(run.folder),
+        config=run.values,
+        overrides=list(words),
+        label="",
+        alone=False,
+        multirun=True,
+        again=f"{program()} {' '.join(words)}",
+    )
 
 
 def run(words: list[str], label: str, metric: str) -> Result:

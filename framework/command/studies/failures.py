@@ -106,8 +106,9 @@ def _failure_lines(failed: Sequence[Outcome], total: int) -> list[str]:
         f"error: {len(runs)} of {total} runs failed; the same command repeats them, the command"
         " below each repeats it alone",
         *_table(runs[:MOST_ROWS]),
-        *_rest(len(runs) - MOST_ROWS),
     ]
+    if len(runs) > MOST_ROWS:
+        lines.append(f"  ... and {len(runs) - MOST_ROWS} more, see the report")
     return [*lines, *(f"error: {o.error}" for o in failed if o.kind == REPORT)]
 
 
@@ -118,10 +119,6 @@ def _table(failed: Sequence[Outcome]) -> list[str]:
     lines = [f"  {run:{wide}}  {kind:{kind_wide}}  {reason}" for run, kind, reason in rows]
     commands = [f"    {outcome.again}" for outcome in failed]
     return [lines[0], *(line for pair in zip(lines[1:], commands, strict=True) for line in pair)]
-
-
-def _rest(count: int) -> list[str]:
-    return [f"  ... and {count} more, see the report"] if count > 0 else []
 
 
 def _shown(error: Exception, show: bool) -> str:
