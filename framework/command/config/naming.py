@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import MISSING, DictConfig, OmegaConf
 
 from framework.command.config.check import check
 from framework.command.config.schema import rows
@@ -28,9 +28,14 @@ NOT_HASHED = ("seed", *NEUTRAL_KEYS)
 
 def plain(config: DictConfig) -> dict[str, Any]:
     """The task's part of a composed configuration as plain, resolved values; missing is "???"."""
-    task = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
-    values: Any = OmegaConf.to_container(task, resolve=True)
-    return dict(values)
+    return {str(key): _plain_value(config, str(key)) for key in config if key != "hydra"}
+
+
+def _plain_value(config: DictConfig, key: str) -> Any:
+    if OmegaConf.is_missing(config, key):
+        return MISSING
+    value = config[key]  # converts what `${...}` gives to the declared type
+    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
 
 
 def study_name(config: Mapping[str, Any]) -> str:
