@@ -1,4 +1,4 @@
-# make demo · make test · make system · make lint · make docs; needs Python >= 3.11 and make, nothing else.
+# make demo · make test · make system · make lint · make docs · make results; needs Python >= 3.11 and make, nothing else.
 
 VENV ?= .venv
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
@@ -6,7 +6,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 STAMP := $(VENV)/.installed
 RUN := PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: demo test system lint docs setup lock audit
+.PHONY: demo test system lint docs results setup lock audit
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
@@ -18,6 +18,13 @@ test: $(STAMP)
 # half an hour or more on two cores; kills processes, so nothing runs beside it
 system: $(STAMP)
 	$(RUN) python -m pytest -m slow
+
+# all studies behind the documentation: days; DATA is the folder of the scenes
+results: $(STAMP)
+	@test -n "$(DATA)" || { echo "error: expected the folder of the scenes; make results DATA=DIR" >&2; exit 2; }
+	$(RUN) python benchmarks/results.py run "$(DATA)"
+	$(RUN) python benchmarks/results.py keep
+	$(RUN) python benchmarks/results.py tables
 
 lint: $(STAMP)
 	$(RUN) ruff check .

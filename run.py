@@ -1,4 +1,4 @@
-"""The entry point: `python run.py +augment=safi +reg=uar seed=0,1,2 -m`; `--help` tells more."""
+"""The entry point: `python run.py +augment=safi +reg=uar seed=0,1,2 -m`; `--help` explains it."""
 
 import sys
 

@@ -13,6 +13,7 @@ from framework.command.config.composed import configuration
 from framework.errors import require
 from framework.records.record import RunRecord, read_run
 from framework.records.run_files import Table
+from framework.view import find_run
 
 if TYPE_CHECKING:
     from framework.exports.opened import OpenedRun
@@ -89,12 +90,12 @@ def load_run(path: Path | str) -> Run:
     """Read the folder of a completed run.
 
     Args:
-        path: a folder such as `reports/STUDY/runs/NAME`.
+        path: a folder such as `reports/STUDY/runs/NAME`, or that of a study with one run.
 
     Raises:
         UserError: The folder has no completed run, or its files are damaged.
     """
-    folder = Path(path)
+    folder = find_run(Path(path))
     result = read_run(folder)
     require(
         result.record.status == "complete",

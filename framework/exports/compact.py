@@ -1,9 +1,10 @@
 """The smallest SPZ file of a run that looks like it, found by measuring (`export --compact`).
 
-Gaussians are sorted along the axis on which they spread most, which saves 5 % after gzip. Then, one
-after another, SH bands are left out, the others rounded, and coordinates rounded, each as far as
-the PSNR of the training photos falls by at most `LIMIT_DB` in total. Colours of bands that are left
-out are averaged over the training cameras and added to `sh0`.
+Gaussians are sorted along the axis on which they spread most, which saves 6 % after gzip on two
+scenes (benchmarks/results/exports.md). Then SH bands are left out, the others are rounded, and
+coordinates are rounded, in this order. In total, the PSNR of the training photos falls by at most
+`LIMIT_DB`. Colours of bands that are left out are averaged over the training cameras and added to
+`sh0`.
 
 Opacities, scales, rotations and sh0 have the precision of the format: rounding them further saves 1
 or 2 % in trials. Runs do not keep the masks of training photos, so a masked scene is judged by

@@ -95,8 +95,9 @@ def _compact(run: OpenedRun, motion: Array) -> tuple[bytes, str]:
     if not photos:
         return result.content, ", loss not measured as the run has no photos"
     before, after = (mean_psnr(run, g, photos) for g in (run.gaussians, result.gaussians))
+    shown = f"{len(photos)} {kind} photo{'' if len(photos) == 1 else 's'}"
     return result.content, (
-        f", PSNR {after:.2f} dB on {len(photos)} {kind} photos, {after - before:+.3f} dB compared"
+        f", PSNR {after:.2f} dB on {shown}, {after - before:+.3f} dB compared"
         f" with the stored Gaussians (SH degree {result.precision.degree} of"
         f" {run.gaussians.sh_degree}, coordinates in 1/{2**result.precision.fraction})"
     )

@@ -194,8 +194,12 @@ def _as_good(best: Entry, options: Sequence[Entry], tests: int) -> list[Entry]:
 
 @dataclass(frozen=True)
 class Cheapest:
-    """The configuration of the highest PSNR, and the cheapest ones that are as good: in seconds
-    (None if runs of different machines do not compare) and in bytes (None if they are unknown)."""
+    """The configuration of the highest PSNR, and the cheapest ones that are as good.
+
+    Attributes:
+        quickest: of the least training time; None if the runs are of several machines.
+        smallest: of the smallest file; None if sizes are unknown.
+    """
 
     best: Entry
     quickest: Entry | None

@@ -90,7 +90,14 @@ class RoundsCapacity(PullCapacity):
 
     def shared(self, members: int) -> Self:
         size = file_bytes(self.bytes)
-        return replace(self, bytes=f"{max(MINIMUM, size // members)}") if size else self
+        if not size:
+            return self
+        require(
+            size // members >= MINIMUM,
+            f"capacity.bytes={self.bytes}: expected at least 1 kB for each of the {members} joined"
+            " trainings; raise it, or set trainer.members=1",
+        )
+        return replace(self, bytes=str(size // members))
 
     def limit(self, ctx: StepContext) -> int | None:
         """The number of Gaussians that fit into `bytes`; None without a limit."""

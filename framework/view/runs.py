@@ -106,7 +106,7 @@ def read_viewed(folder: Path) -> ViewedRun:
 
 
 def read_exported(file: Path) -> ViewedRun:
-    """Read an SPZ file in the export folder of a run, with the cameras beside it.
+    """Read an SPZ file in the export folder of a run, with the cameras of that export.
 
     The test PSNR of the run is left out, as it is not that of the file.
 

@@ -47,6 +47,8 @@ def test_bands_cost_bytes_and_members_share_them() -> None:
     assert most_gaussians(300_000, 0) > most_gaussians(300_000, 1) > most_gaussians(300_000, 3)
     assert file_bytes(Budget(bytes="300kB").shared(4).bytes) == 75_000
     assert Budget().shared(4).bytes == "none"
+    with pytest.raises(UserError, match="at least 1 kB for each of the 4 joined trainings"):
+        Budget(bytes="2kB").shared(4)
 
 
 @pytest.mark.parametrize("n", [90, 400])

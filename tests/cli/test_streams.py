@@ -1,13 +1,9 @@
 """A run survives the loss of its output, and an interrupt at its start is one line."""
 
 import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
-
-import pytest
 
 from framework.command.config.schema import ROOT
 
@@ -34,18 +30,3 @@ def test_output_that_is_closed(tmp_path: Path) -> None:
         preexec_fn=lambda: os.close(1),
     )
     assert done.returncode == 0 and done.stderr == "went on\n"
-
-
-@pytest.mark.parametrize("after_ms", [50])
-def test_an_interrupt_at_the_start_is_one_line(tmp_path: Path, after_ms: int) -> None:
-    process = subprocess.Popen(
-        [sys.executable, str(ROOT / "run.py"), "seed=0,1", "-m"],
-        cwd=tmp_path,
-        stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        text=True,
-    )
-    time.sleep(after_ms / 1000)
-    process.send_signal(signal.SIGINT)
-    message = process.communicate(timeout=60)[1]
-    assert process.returncode == 130 and message.startswith("error: interrupted"), message

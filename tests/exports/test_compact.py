@@ -68,7 +68,7 @@ def test_the_command_says_what_it_loses(tmp_path: Path, capsys: pytest.CaptureFi
     run = photographed(tmp_path / "run", small(), side_by_side())
     assert main([str(run.folder), "--compact"], "export") == 0
     out = capsys.readouterr().out
-    assert "scene.spz" in out and " kB, PSNR" in out and "1 test photos" in out
+    assert "scene.spz" in out and " kB, PSNR" in out and "1 test photo," in out
     assert (run.folder / "export" / "scene.spz").is_file()
     with pytest.raises(UserError, match="--compact: expected no --format"):
         main([str(run.folder), "--compact", "--format", "spz"], "export")

@@ -38,7 +38,7 @@ def header(n: int, version: int = 3, degree: int = 0) -> bytes:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"XXXX" + header(1)[4:], "not an SPZ file"),
+        (b"glTF" + header(1)[4:], "not an SPZ file"),
         (header(1, version=2) + bytes(20), "got version 2"),
         (header(1, degree=9) + bytes(20), "degree 9"),
         (header(2) + bytes(39), "cut off"),

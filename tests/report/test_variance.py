@@ -60,7 +60,7 @@ def test_of_seeds_that_move_as_one_the_ratio_is_nearly_known() -> None:
 @pytest.mark.parametrize("paired", [True, False])
 @pytest.mark.parametrize("n", [3, 10])
 def test_the_detectable_ratio_is_found_in_four_of_five_studies(n: int, paired: bool) -> None:
-    """By the tests themselves, on other draws than those of the simulation."""
+    """The tests themselves find it, on other draws than those of the simulation."""
     rho = 0.6 if paired else None
     lowest = detectable(n, n, 1, rho)
     if n == 3 and not paired:

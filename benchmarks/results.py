@@ -1,0 +1,279 @@
+"""Run the studies behind the numbers of README and docs, and write the tables made from them.
+
+    python benchmarks/results.py run DATA [--study NAME ...] [--estimate]
+    python benchmarks/results.py keep [--study NAME ...]
+    python benchmarks/results.py tables [--check]
+
+`run` trains what `benchmarks/canonical.yaml` lists, from one commit without local changes, two runs
+at a time. It can be repeated: finished runs are kept. `keep` copies finished studies to
+`reports/committed`; `tables` writes the tables of the pages from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))  # for the packages of this checkout
+REPORTS, COMMITTED = ROOT / "reports", ROOT / "reports" / "committed"
+PREFIX = "results_"  # of a study's folder while its runs are there
+KEPT = ("report.md", "runs.jsonl")
+PICTURES = 5  # of a committed study at most
+OPTIONS = (
+    "hydra/launcher=joblib",
+    "hydra.launcher.n_jobs=2",
+    "threads=1",
+    "metrics.lpips_both=true",
+)
+COLUMNS = {"psnr": "PSNR ↑", "ssim": "SSIM ↑", "lpips_01": "LPIPS ↓"}
+MEASURES = {"train_cpu_s": "CPU seconds", "gaussians": "Gaussians"}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=_Plain)
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("run", help="train the studies")
+    run.add_argument("data", type=Path, help="folder of the scenes")
+    run.add_argument("--estimate", action="store_true", help="only estimate time and disk space")
+    keep = commands.add_parser("keep", help="copy finished studies to reports/committed")
+    for part in (run, keep):
+        part.add_argument("--study", action="append", help="by default all")
+    tables = commands.add_parser("tables", help="write the tables of the pages")
+    tables.add_argument("--check", action="store_true", help="only compare; 1 if one differs")
+    options = parser.parse_args(arguments)
+    canon = yaml.safe_load((ROOT / "benchmarks" / "canonical.yaml").read_text("utf-8"))
+    if options.command == "tables":
+        return write_tables(canon["tables"], options.check)
+    studies = {name: canon["studies"][name] for name in options.study or canon["studies"]}
+    if options.command == "keep":
+        return keep_studies(studies)
+    return run_studies(canon, studies, options.data.resolve(), options.estimate)
+
+
+class _Plain(argparse.RawDescriptionHelpFormatter):
+    """Help with the lines of the description as they are."""
+
+
+def run_studies(
+    canon: Mapping[str, Any], studies: Mapping[str, Any], data: Path, estimate: bool
+) -> int:
+    """Train the studies; a failed command does not stop the others."""
+    changed = _git("status", "--porcelain", "--untracked-files=no")
+    if changed and not estimate:
+        print("error: expected a commit without local changes; commit or stash them")
+        return 2
+    print(f"commit {_git('rev-parse', 'HEAD')}", flush=True)
+    failed = 0
+    for name, study in studies.items():
+        for words in commands_of(canon, name, study, data):
+            more = ["estimate=only"] if estimate else ["estimate=false", *OPTIONS]
+            start = time.monotonic()
+            code = subprocess.call([sys.executable, "run.py", *words, *more, "-m"], cwd=ROOT)
+            failed += code != 0
+            seconds = time.monotonic() - start
+            print(f"{name}: {shlex.join(words)}: exit code {code}, {seconds:.0f} s", flush=True)
+        if not estimate:
+            print(f"{name}: {summary(REPORTS / (PREFIX + name))}", flush=True)
+    return int(failed > 0)
+
+
+def commands_of(
+    canon: Mapping[str, Any], name: str, study: Mapping[str, Any], data: Path
+) -> Iterator[list[str]]:
+    """The command lines of a study, one for each scene and each entry of `options`."""
+    entries = study["options"] if isinstance(study["options"], list) else [study["options"]]
+    for scene in study.get("scenes", canon["scenes"]):
+        size = "" if scene == "embedded" else f" scene.downscale={study.get('downscale', 2)}"
+        place = canon["scenes"][scene].format(data=data) + size
+        for entry in entries:
+            chosen = dict(word.split("=", 1) for word in f"{place} {entry}".split())
+            words = [f"{key}={value}" for key, value in chosen.items()]
+            yield [w.format(methods=canon["methods"]) for w in words] + [f"study={PREFIX}{name}"]
+
+
+def keep_studies(studies: Mapping[str, Any]) -> int:
+    """Copy reports and records of finished studies to `reports/committed`."""
+    for name in studies:
+        source, target = REPORTS / (PREFIX + name), COMMITTED / name
+        if not (source / "runs.jsonl").is_file():
+            print(f"{name}: not finished; python benchmarks/results.py run DATA --study {name}")
+            continue
+        command = ["report", str(source), "--title", name, "--without-photos", "--out", str(source)]
+        subprocess.run([sys.executable, "run.py", *command], cwd=ROOT, check=True)
+        shutil.rmtree(target, ignore_errors=True)
+        target.mkdir(parents=True)
+        for file in (*KEPT, *sorted(path.name for path in source.glob("*.png"))[:PICTURES]):
+            shutil.copy(source / file, target)
+        print(f"{name}: {summary(target)}")
+    return 0
+
+
+def summary(study: Path) -> str:
+    """Runs, CPU hours, commits and processors of a study."""
+    lines = (study / "runs.jsonl").read_text("utf-8").splitlines()
+    records = [json.loads(line)["record"] for line in lines]
+    hours = sum(stage["cpu_s"] for record in records for stage in record["timings"]) / 3600
+    commits = {record["provenance"]["git"]["sha"] for record in records}
+    processors = {record["provenance"]["cpu"] for record in records}
+    return (
+        f"{len(records)} runs, {hours:.1f} CPU hours, commit {', '.join(sorted(commits))},"
+        f" {', '.join(sorted(processors))}"
+    )
+
+
+def write_tables(tables: Mapping[str, Any], check: bool) -> int:
+    """Write the tables below their marks, or compare them."""
+    differing = 0
+    for name, spec in tables.items():
+        page = ROOT / spec["page"]
+        text = page.read_text("utf-8")
+        new = with_table(text, name, table(spec))
+        if new != text:
+            differing += 1
+            print(f"{spec['page']}: table {name} {'differs' if check else 'written'}")
+            if not check:
+                page.write_text(new, "utf-8")
+    return int(check and differing > 0)
+
+
+def with_table(text: str, name: str, rows: Sequence[str]) -> str:
+    """The page with `rows` in place of the table after the mark of `name`."""
+    head, mark, rest = text.partition(f"<!-- table: {name} -->\n")
+    lines = rest.lstrip("\n").splitlines(keepends=True)
+    end = next((k for k, line in enumerate(lines) if not line.startswith("|")), len(lines))
+    if not mark:
+        raise ValueError(f"expected the line '<!-- table: {name} -->' in the page of its table")
+    return f"{head}{mark}\n" + "".join(f"{row}\n" for row in rows) + "".join(lines[end:])
+
+
+def table(spec: Mapping[str, Any]) -> list[str]:
+    """The lines of a table: `values`, `gains` or `recipes`."""
+    return {"values": values, "gains": gains, "recipes": recipes}[spec["kind"]](spec)
+
+
+def values(spec: Mapping[str, Any]) -> list[str]:
+    """Mean metrics, CPU seconds and Gaussians of methods, in groups; the best are bold."""
+    names = {name: label for name, label in COLUMNS.items() if name in spec["columns"]}
+    labels = ["method", *names.values(), *MEASURES.values()]
+    rows = [_row(labels), _row(["---", *["---:"] * (len(labels) - 1)])]
+    for group in spec["groups"]:
+        shown = {label: _means(group["study"]).loc[name] for label, name in _listed(group["rows"])}
+        if "title" in group:
+            rows.append(_row([f"*{group['title']}*", *[""] * (len(labels) - 1)]))
+        texts = {
+            name: [f"{m[name]:.2f}" if name == "psnr" else _short(m[name]) for m in shown.values()]
+            for name in names
+        }
+        best = {
+            name: (max if "↑" in label else min)(texts[name], key=float)
+            for name, label in names.items()
+        }
+        for k, (label, mean) in enumerate(shown.items()):
+            cells = [_bold(texts[name][k], texts[name][k] == best[name]) for name in names]
+            first = _bold(label, texts["psnr"][k] == best["psnr"])
+            size = f"{round(mean['gaussians'], -3):,.0f}"
+            rows.append(_row([first, *cells, f"{mean['train_cpu_s']:.0f}", size]))
+    return rows
+
+
+def gains(spec: Mapping[str, Any]) -> list[str]:
+    """Gain of each method in PSNR over the baseline, a column for each study."""
+    columns = spec["gains"]
+    means = {label: _means(column["study"])["psnr"] for label, column in columns.items()}
+    rows = [_row(["method", *columns]), _row(["---", *["---:"] * len(columns)])]
+    for label in spec["rows"]:
+        cells = []
+        for column, psnr in means.items():
+            name = columns[column].get("names", {}).get(label, label)
+            difference = psnr[name] - psnr["Baseline"] if name in psnr else None
+            cells.append("" if difference is None else f"{difference:+.2f}")
+        if label == "Baseline":
+            label = "Baseline (3DGS), PSNR"
+            cells = [f"{psnr['Baseline']:.2f}" for psnr in means.values()]
+        rows.append(_row([label, *cells]))
+    return rows
+
+
+def recipes(spec: Mapping[str, Any]) -> list[str]:
+    """Published PSNR of recipes, ours on a scene, and the difference to the baseline with its
+    uncorrected interval."""
+    from framework.report.findings import find
+    from framework.report.study.collect import collect
+
+    study, scenes = collect(COMMITTED / spec["study"]), spec["scenes"]
+    labels, rows = ["recipe"], {name: [f"`{name}`"] for name in spec["rows"]}
+    for data, scene in scenes.items():
+        labels += [f"{data}, published", scene, "difference to 3DGS", "CPU s"]
+        runs = [run for run in study.runs if run.scene == scene]
+        compared = {
+            comparison.method.name: comparison
+            for comparison in find(replace(study, runs=runs)).outcomes.comparisons.values()
+        }
+        means = _means(spec["study"], scene)
+        for recipe, name in spec["rows"].items():
+            source = ROOT / "conf" / "published" / f"{recipe.removesuffix('_sweep')}.yaml"
+            published = yaml.safe_load(source.read_text("utf-8")).get(data, {}).get("published", "")
+            mean, comparison = means.loc[name], compared.get(name)
+            difference = ""
+            if comparison is not None:
+                low, high = comparison.interval.low, comparison.interval.high
+                difference = f"{comparison.difference:+.2f} ({low:.2f} to {high:.2f})"
+            cpu = f"{mean['train_cpu_s']:,.0f}"
+            rows[recipe] += [published, f"{mean['psnr']:.2f}", difference, cpu]
+    ordered = sorted(rows.values(), key=lambda cells: -float(cells[2]))
+    lines = ["---", *["---:"] * (len(labels) - 1)]
+    return [_row(labels), _row(lines), *map(_row, ordered)]
+
+
+def _means(study: str, scene: str = "") -> pd.DataFrame:
+    """Mean over seeds and then scenes, or on one scene; a row for each method."""
+    from fishersplat import load_study
+
+    runs = load_study(COMMITTED / study).runs
+    if scene:
+        runs = runs[runs["scene"] == scene]
+    numbers = runs.groupby(["method", "scene"]).mean(numeric_only=True)
+    return numbers.groupby("method").mean()
+
+
+def _listed(rows: Sequence[str | Mapping[str, str]]) -> Iterator[tuple[str, str]]:
+    """Label in the page and name in the study."""
+    for row in rows:
+        yield from [(row, row)] if isinstance(row, str) else row.items()
+
+
+def _short(value: float) -> str:
+    """Three decimals without the leading zero."""
+    return f"{value:.3f}".removeprefix("0")
+
+
+def _bold(text: str, best: bool) -> str:
+    return f"**{text}**" if best else text
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _git(*words: str) -> str:
+    """What a git command prints."""
+    result = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+    return result.stdout.strip()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
