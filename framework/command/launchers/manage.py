@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from framework.command.launchers.submission import Submission, read_submission, submissions
+from framework.command.launchers.supported import missing_extra
 from framework.command.program import plugin_flags
 from framework.command.studies.closing import short_path
 from framework.command.studies.failures import conclude
@@ -63,6 +64,12 @@ def _submit(words: Sequence[str], prog: str) -> int:
         launcher in LAUNCHERS,
         f"{prog}: expected {LAUNCHER}{f' or {LAUNCHER}'.join(LAUNCHERS)}, got {launcher!r}; a Ray"
         " cluster queues commands itself: ray job submit",
+    )
+    extra = missing_extra(launcher)
+    require(
+        extra is None,
+        f"{prog}: expected submitit to be installed, found it missing; pip install"
+        f" 'fishersplat[{extra}]'",
     )
     flags += [] if chosen else [f"{LAUNCHER}{launcher}"]
     code = command_line([*plugin_flags(), *flags, "hydra.launcher.detach=true", "-m"])
