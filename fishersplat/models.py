@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from fishersplat.runs import Run, configuration
+from fishersplat.runs import Run
+from framework.command.config.composed import configuration
 from framework.errors import UserError, require
 
 if TYPE_CHECKING:

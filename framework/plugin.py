@@ -144,12 +144,28 @@ class Variant:
     paper: str
 
 
-class Plugin:
-    """Base class of training plugins.
+class Part:
+    """Base class of plugins that are parts of a run, with options only; and of all others.
 
     Attributes:
         title: display name in reports; by default the registry name.
         paper: name of the paper's file in conf/published; "" if there is none.
+    """
+
+    name: ClassVar[str]
+    group: ClassVar[str]
+    title: ClassVar[str] = ""
+    paper: ClassVar[str] = ""
+
+    def check(self, option: str, ok: bool, expected: str) -> None:
+        """Raise UserError, with the option's value and what was expected, unless `ok`."""
+        check_option(self, self.group, option, ok, expected)
+
+
+class Plugin(Part):
+    """Base class of training plugins.
+
+    Attributes:
         variants: named variants with their display names.
         defaults: changed defaults of the framework keys.
         idle: a deliberate no-op; other plugins without any effect cause a warning.
@@ -158,10 +174,6 @@ class Plugin:
         second_drawn: initialize the second field with a different draw of Gaussians.
     """
 
-    name: ClassVar[str]
-    group: ClassVar[str]
-    title: ClassVar[str] = ""
-    paper: ClassVar[str] = ""
     variants: ClassVar[dict[str, Variant]] = {}
     defaults: ClassVar[dict[str, float]] = {}
     idle: ClassVar[bool] = False
@@ -172,10 +184,6 @@ class Plugin:
     def weighted(cls) -> bool:
         """Whether `weight` has an effect; setting it is refused otherwise."""
         return True
-
-    def check(self, option: str, ok: bool, expected: str) -> None:
-        """Raise UserError, with the option's value and what was expected, unless `ok`."""
-        check_option(self, self.group, option, ok, expected)
 
     def check_span(self, start: float, stop: float) -> None:
         """Raise UserError if the plugin cannot work in this share of the training."""
@@ -445,24 +453,6 @@ class Capacity(Plugin):
             rows: [N'] int64, the previous row of each Gaussian, -1 for new ones.
         """
         return state
-
-
-class Part:
-    """Base class of plugins that are parts of a run; they have options only.
-
-    Attributes:
-        title: display name in reports; by default the registry name.
-        paper: name of the paper's file in conf/published; "" if there is none.
-    """
-
-    name: ClassVar[str]
-    group: ClassVar[str]
-    title: ClassVar[str] = ""
-    paper: ClassVar[str] = ""
-
-    def check(self, option: str, ok: bool, expected: str) -> None:
-        """Raise UserError, with the option's value and what was expected, unless `ok`."""
-        check_option(self, self.group, option, ok, expected)
 
 
 class SceneLoader(Part):

@@ -57,11 +57,13 @@ MEANINGS = {
 JOINABLE = ("reg", "capacity")  # several of these may work in one run, as `reg=[uar,depth_rank]`
 JOINED_BY = "+"  # their names are one choice: `uar+depth_rank`
 OPTION_TYPES = (bool, int, float, str, type(None))
+UNSET = "???"  # omegaconf's MISSING: a required option without a value
 UNIONS = (typing.Union, UnionType)
 
 BASES: dict[str, type] = {}  # of every group, by `framework.plugin`, which stands above
 _classes: dict[str, dict[str, type]] = {group: {} for group in GROUPS}
 C = TypeVar("C", bound=type)
+Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
 
 
 def register(group: str, name: str) -> Callable[[C], C]:
@@ -74,14 +76,11 @@ def register(group: str, name: str) -> Callable[[C], C]:
         _check_class(group, name, cls)
         classes = _table(group)
         other = classes.get(name)
-        if other is not None and (other.__module__, other.__qualname__) != (
-            cls.__module__,
-            cls.__qualname__,
-        ):
-            raise UserError(
-                f"{group}={name}: two plugins claim this name, {other.__module__} and"
-                f" {cls.__module__}; rename one"
-            )
+        places = [f"{one.__module__}.{one.__qualname__}" for one in (other or cls, cls)]
+        require(
+            places[0] == places[1],
+            f"{group}={name}: two plugins claim this name, {' and '.join(places)}; rename one",
+        )
         cls.name, cls.group = name, group  # type: ignore[attr-defined]
         classes[name] = cls
         return cls
@@ -125,18 +124,11 @@ def _check_class(group: str, name: str, cls: type) -> None:
         )
     defaults = getattr(cls, "defaults", {}) if group in GROUPS else {}
     require(
-        isinstance(defaults, Mapping), f"{where}: `defaults` must be a dict, got {defaults!r:.40}"
+        isinstance(defaults, Mapping)
+        and all(key in FRAMEWORK_KEYS and _is_finite(value) for key, value in defaults.items()),
+        f"{where}: `defaults` must be a dict of finite numbers for {', '.join(FRAMEWORK_KEYS)}, got"
+        f" {defaults!r:.80}; a default of an option stands behind its field",
     )
-    for key, value in defaults.items():
-        require(
-            key in FRAMEWORK_KEYS,
-            f"{where}: expected some of {', '.join(FRAMEWORK_KEYS)} in `defaults`, got {key!r:.40};"
-            " a default of an option stands behind its field",
-        )
-        require(
-            type(value) in (int, float) and math.isfinite(value),
-            f"{where}: `defaults[{key!r}]` must be a finite number, got {value!r:.40}",
-        )
     typed = {*cls.__annotations__, "defaults", "name", "group"}  # the last two: registered twice
     for base in cls.__mro__:  # what a contract declares for the class, as `drops`
         typed |= set(base.__annotations__) if base.__module__ == "framework.plugin" else set()
@@ -147,6 +139,10 @@ def _check_class(group: str, name: str, cls: type) -> None:
             f" '{key}: {type(value).__name__} = {value!r:.40}'",
         )
     _check_contract(group, name, cls, where)
+
+
+def _is_finite(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
 
 
 def _check_contract(group: str, name: str, cls: type, where: str) -> None:
@@ -239,20 +235,19 @@ def lookup(group: str, name: str) -> type:
     return classes[name]
 
 
-def option_fields(cls: type) -> list[tuple[str, Any, Any]]:
-    """(name, type, dataclasses.field) of every option, framework keys first."""
+def option_fields(cls: type) -> list[Row]:
+    """Every option, framework keys first."""
     overrides = getattr(cls, "defaults", {})
-    rows: list[tuple[str, Any, Any]] = [
+    rows: list[Row] = [
         (key, float, field(default=float(overrides.get(key, default))))
         for key, default in FRAMEWORK_KEYS.items()
     ]
     return rows + plain_fields(cls)
 
 
-def plain_fields(cls: type) -> list[tuple[str, Any, Any]]:
-    """(name, type, dataclasses.field) of every field of an options class. UserError for a type
-    that the command line cannot give."""
-    rows: list[tuple[str, Any, Any]] = []
+def plain_fields(cls: type) -> list[Row]:
+    """Every field of an options class. UserError for a type that the command line cannot give."""
+    rows: list[Row] = []
     with plugin_call(f"{cls.__module__}.{cls.__name__}: its options' types", "import that name"):
         hints = typing.get_type_hints(cls)
     for option in dataclasses.fields(cls):
@@ -300,26 +295,31 @@ def parts_of(group: str, name: str) -> list[str]:
 
 def part(group: str, config: Mapping[str, Any]) -> Any:
     """The part of a run that `config` (key `name` + options) describes. Raises UserError."""
-    options = dict(config)
-    name = str(options.pop("name", ""))
+    name = str(config.get("name", ""))
     cls = lookup(group, name)
-    fields = {key: option for key, _, option in plain_fields(cls)}
-    _check_known(f"{group}={name}", options, fields)
-    for key, option in fields.items():
-        require(
-            key in options or option.default is not dataclasses.MISSING,
-            f"{group}={name}: expected {key}, got nothing; give {group}.{key}=...",
-        )
-    return _made(f"{group}={name}", cls, options)
+    return _constructed(f"{group}={name}", cls, _options(group, config, plain_fields(cls)))
 
 
-def _check_known(where: str, options: Iterable[str], existing: Mapping[str, Any]) -> None:
+def _options(group: str, config: Mapping[str, Any], fields: Iterable[Row]) -> dict[str, Any]:
+    """The options in `config`. Raises UserError if one is unknown, or a required one missing."""
+    chosen = f"{group}={config.get('name', '')}"
+    options = {key: value for key, value in config.items() if key != "name"}
+    defaults = {key: option.default for key, _, option in fields}
     for key in options:
-        require(key in existing, f"{where}: unknown option '{key}'; {nearest_hint(key, existing)}")
+        require(
+            key in defaults,
+            f"{group}.{key}: unknown option of {chosen}; {nearest_hint(key, defaults)}",
+        )
+    for key, default in defaults.items():
+        require(
+            options.get(key, default) not in (UNSET, dataclasses.MISSING),
+            f"{group}.{key}: required by {chosen}, got nothing; add {group}.{key}=VALUE",
+        )
+    return options
 
 
-def _made(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
-    """Construct a plugin or part with these options. Raises UserError with its name."""
+def _constructed(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
+    """A plugin or part with these options. Raises UserError with its name."""
     with plugin_call(where, "correct its options, or fix __post_init__"):
         return cls(**options)
 
@@ -333,21 +333,26 @@ def build_all(group: str, config: Mapping[str, Any]) -> dict[str, ActivePlugin]:
     names = parts_of(group, str(config.get("name", "")))
     if len(names) == 1:
         return {group: build(group, config)}
+    for key in config:
+        require(
+            key in (*names, "name"),
+            f"{group}.{key}: unknown option of several plugins; write {group}.NAME.{key}",
+        )
     return {f"{group}.{name}": build(group, config[name]) for name in names}
 
 
 def build(group: str, config: Mapping[str, Any]) -> ActivePlugin:
     """Build the plugin that `config` (key `name` + options) describes. Raises UserError."""
-    options = dict(config)
-    name = str(options.pop("name", ""))
+    name = str(config.get("name", ""))
     cls: Any = lookup(group, name)
-    fields = {row[0]: row for row in option_fields(cls)}
-    _check_known(f"{group}={name}", options, fields)
-    keys = {key: float(options.pop(key, fields[key][2].default)) for key in FRAMEWORK_KEYS}
+    fields = option_fields(cls)
+    options = _options(group, config, fields)
+    defaults = {key: option.default for key, _, option in fields if key in FRAMEWORK_KEYS}
+    keys = {key: float(options.pop(key, default)) for key, default in defaults.items()}
     with plugin_call(f"{group}={name}: weighted"):
         weighted = cls.weighted()
     require(
-        keys["weight"] == fields["weight"][2].default or weighted,
+        keys["weight"] == defaults["weight"] or weighted,
         f"{group}={name}: weight multiplies a loss, and {name} has none; drop {group}.weight, or"
         f" compare it with a variant that sets it, a file conf/{group}/VARIANT.yaml",
     )
@@ -360,7 +365,7 @@ def build(group: str, config: Mapping[str, Any]) -> ActivePlugin:
         f"{group}={name}: expected 0 <= start <= stop <= 1 (shares of the training), got"
         f" start={keys['start']}, stop={keys['stop']}",
     )
-    plugin = _made(f"{group}={name}", cls, options)
+    plugin = _constructed(f"{group}={name}", cls, options)
     with plugin_call(f"{group}={name}: check_span"):
         plugin.check_span(keys["start"], keys["stop"])
     return ActivePlugin(plugin, keys["weight"], keys["start"], keys["stop"])

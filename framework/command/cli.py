@@ -138,15 +138,13 @@ def task(cfg: DictConfig) -> Outcome:
 @contextmanager
 def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
     """Set what `hydra.main` reads from the process: the arguments, and not to catch errors."""
-    argv, environment = sys.argv, dict(os.environ)
+    argv = sys.argv
     sys.argv = [argv[0], *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"
     try:
         yield
     finally:
         sys.argv = argv
-        os.environ.pop("HYDRA_FULL_ERROR")
-        os.environ.update({k: v for k, v in environment.items() if k == "HYDRA_FULL_ERROR"})
 
 
 def _shown(word: str) -> str:

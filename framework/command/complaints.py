@@ -23,7 +23,7 @@ from omegaconf.errors import (
     ValidationError,
 )
 
-from framework.command.config.check import hint, places_of
+from framework.command.config.check import hint
 from framework.command.config.schema import CONF_DIR
 from framework.command.launchers.supported import LAUNCHERS, missing_extra, package_of
 from framework.command.program import program
@@ -54,7 +54,7 @@ def composing() -> Iterator[None]:
         yield
     except USER_ERRORS:
         raise
-    except (ValueError, OverflowError, RecursionError) as error:
+    except (ValueError, ArithmeticError, RecursionError) as error:
         raise UserError(
             f"command line: expected options of the configuration, got what Hydra refuses"
             f" ({printable_line(str(error))[:160]}); --help lists the options"
@@ -79,15 +79,11 @@ def with_variant(message: str, words: Sequence[str]) -> str:
     """Add to `message` what could be typed instead of `words`.
 
     With -m if the message advises it. For a missing depth network the recipe's variant NAME_sweep.
-    For an option of several plugins, the plugins that have it.
     """
     if message.endswith(EACH) and any(word in INFORM for word in words):
         return message.replace(EACH, "name one, or several that work together, as reg=[a,b]")
     if message.endswith(EACH):
         return f"{message}: {program()} {shlex.join(words)} -m"
-    missed = NOT_THERE.search(message)
-    if missed is not None:
-        return _of_several(missed[1], missed[2], words)
     if not message.startswith(("depth=", "depth.")):
         return message
     chosen = [word.lstrip("+").removeprefix("method=") for word in words if "method=" in word]
@@ -96,16 +92,6 @@ def with_variant(message: str, words: Sequence[str]) -> str:
     if not there:
         return message
     return f"{message}; or take the plane sweep instead of a network: {', '.join(there)}"
-
-
-def _of_several(group: str, key: str, words: Sequence[str]) -> str:
-    """What to write instead of `group.key` if several plugins are chosen."""
-    chosen = [word.partition("=")[2] for word in words if word.lstrip("+").startswith(f"{group}=")]
-    names = [name for value in chosen for name in re.findall(r"[\w.-]+", value)]
-    there = places_of(group, key, names)
-    several = f"with several plugins the options are {group}.NAME.OPTION"
-    advice = f"did you mean {there}?" if there else f"{several}; --help with these words lists them"
-    return f"{group}.{key}: unknown option of {group}; {advice}"
 
 
 def _causes(error: BaseException) -> list[BaseException]:
@@ -133,10 +119,21 @@ def _reworded(error: BaseException) -> str | None:
             f"command line: cannot read {error.override!r}; write KEY=VALUE and put quotes around"
             " a value with spaces or special characters: \"key='a b'\""
         )
+    if isinstance(error, HydraException) and "INTERVAL_SWEEP" in str(error):
+        return (
+            "multirun: expected a list of values, such as choice(0,0.5,1) or range(0,1.1,0.5), got"
+            " an interval; list the values"
+        )
     if isinstance(error, HydraException) and (several := SEVERAL.search(str(error))):
         word = several[1] or several[2]
         key, _, values = word.partition("=")
         return f"{key}: expected one value, got several ({values}); {EACH}"
+    if isinstance(error, HydraException) and (missed := NOT_THERE.search(str(error))):
+        group, key = missed.groups()
+        return (
+            f"{group}.{key}: unknown option of {group}; with several plugins the options are"
+            f" {group}.NAME.OPTION, --help with these words lists them"
+        )
     if isinstance(error, ConfigKeyError | ConfigAttributeError):
         return _unknown_key(error)
     if isinstance(error, ValidationError) and error.full_key:

@@ -3,7 +3,10 @@
 Modules are imported where Ctrl-C is caught, so that it never prints a traceback.
 """
 
+import contextlib
 import gc
+import io
+import os
 import sys
 
 
@@ -26,7 +29,6 @@ def command(argv: list[str], name: str = "python run.py") -> None:
 def _run(argv: list[str], name: str) -> int:
     """Return the exit code of a command line."""
     from framework.command.program import set_program
-    from framework.command.streams import make_safe
     from framework.errors import memory_line
     from framework.files.limits import check_address_space
 
@@ -40,3 +42,16 @@ def _run(argv: list[str], name: str) -> int:
     from framework.command.cli import main  # imports Hydra, but not torch
 
     return main(argv)
+
+
+def make_safe() -> None:
+    """Keep a closed stdout or stderr, or one that cannot encode a letter, from raising."""
+    with contextlib.suppress(OSError):
+        while os.open(os.devnull, os.O_RDWR) <= 2:  # takes the lowest number that is free
+            pass
+    for name in ("stdin", "stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # was closed at the start
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+        elif name != "stdin" and type(stream) is io.TextIOWrapper:
+            stream.reconfigure(errors="backslashreplace")

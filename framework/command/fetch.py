@@ -6,26 +6,21 @@ checkpoint that you downloaded.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from framework.errors import Arguments, UserError
 
 
-def main(argv: Sequence[str] | None = None, prog: str = "fishersplat fetch") -> int:
+def main(arguments: Sequence[str], prog: str) -> int:
     """Run the command; returns the exit code."""
     parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument("what", choices=["lpips", "itermvs"], help="the network")
     parser.add_argument(
         "--from", dest="file", type=Path, metavar="FILE", help="a downloaded archive or checkpoint"
     )
-    options = parser.parse_args(argv)
-    try:
-        written = _itermvs(options.file) if options.what == "itermvs" else _lpips(options.file)
-    except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    options = parser.parse_args(arguments)
+    written = _itermvs(options.file) if options.what == "itermvs" else _lpips(options.file)
     for path in written:
         print(f"{options.what}: {path} ({path.stat().st_size / 1e6:.1f} MB)")
     if not written:

@@ -1,26 +1,22 @@
 """The words of the command line: made acceptable to Hydra, or refused in one line.
 
-Hydra would take the last of two values silently, fail on other mistakes with a traceback, or list
-runs for minutes. The command line and the user's configurations are trusted (SECURITY.md).
+Hydra would take the last of two values silently, or fail on other mistakes with a traceback.
 """
 
 from __future__ import annotations
 
-import math
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import ChoiceSweep, IntervalSweep, Override, RangeSweep
+from hydra.core.override_parser.types import Override
 
-from framework.command.config.schema import CONF_DIR, GROUPS, OBJECT_GROUPS, choices
+from framework.command.complaints import composing
+from framework.command.config.schema import GROUPS, OBJECT_GROUPS
 from framework.command.hydra_inside import argument_parser
-from framework.command.program import program
-from framework.errors import UserError, printable_line, require
-from framework.files import limits
-from framework.records.provenance import NEUTRAL_KEYS
+from framework.errors import UserError, require
 from framework.registry import JOINABLE, JOINED_BY, parts_of
 
 MULTIRUN_FLAGS = ("-m", "--multirun")
@@ -31,7 +27,6 @@ GRAMMAR = set("'\"[]{}(),\\$")  # characters with a meaning in the value of an o
 QUOTED_ONLY = "#&;<>!~^`"  # ASCII characters that the grammar reads only inside quotation marks
 NAMES = ("study", "metrics.lpips_weights", "scene.images", "scene.file")  # values that are names
 NUMBER = re.compile(r"[0-9+\-._e]+|true|false|[+-]?(inf|nan)", re.ASCII | re.I)
-REMOVABLE = {*GROUPS} - {*OBJECT_GROUPS, "method", "preset"}
 
 
 def normalise(argv: Sequence[str]) -> list[str]:
@@ -47,13 +42,10 @@ def normalise(argv: Sequence[str]) -> list[str]:
     arguments = [quoted(_joined_choices(argument)) for argument in arguments]
     # Hydra's parser takes -m only before or after all overrides
     arguments.sort(key=lambda argument: argument not in MULTIRUN_FLAGS)
-    _check_empty_choices(arguments)
     check_given_twice(arguments)
     flags = parse_flags(arguments)
     if not flags.shell_completion:  # whose words are no overrides
-        overrides = parsed(flags.overrides)
-        _check_single_choices(overrides)
-        _check_deleted(overrides)
+        _check_choices(parsed(flags.overrides))
     if flags.multirun and only_informs(flags):
         raise UserError("command line: expected -m or a flag that only informs, got both; drop one")
     if flags.resolve and not flags.cfg:
@@ -79,13 +71,8 @@ def parsed(words: Sequence[str]) -> list[Override]:
     Raises:
         UserError: or one of Hydra's errors.
     """
-    try:
+    with composing():
         overrides = OverridesParser.create().parse_overrides(list(words))
-    except (ValueError, RecursionError) as error:  # an integer of thousands of digits, for instance
-        raise UserError(
-            f"command line: expected values of a usual length, got others"
-            f" ({printable_line(str(error))[:120]}); write KEY=VALUE"
-        ) from error
     for override in overrides:
         require(
             override.key_or_group != "",
@@ -145,22 +132,6 @@ def check_given_twice(words: Sequence[str]) -> None:
         first[key] = word
 
 
-def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) -> None:
-    """Raise UserError for more than `limits.RUNS` runs, without listing them.
-
-    Args:
-        overrides: of the command line.
-        params: `hydra.sweeper.params`; overrides of the same keys replace them.
-    """
-    swept = parsed([f"{key!s}={value}" for key, value in params.items()])
-    lengths = {override.get_key_element(): _length(override) for override in [*swept, *overrides]}
-    count = math.prod(lengths.values())
-    require(
-        count <= limits.RUNS,
-        f"multirun: expected at most {limits.RUNS:,} runs, got {count:,}; sweep fewer values",
-    )
-
-
 def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
     """Check a `method=` together with `augment=` and `reg=`, given or swept.
 
@@ -212,77 +183,34 @@ def _options_of_swept_groups(arguments: Sequence[str], overrides: Sequence[str])
     return [re.sub("=(.*)", r"=choice(\1)", a, count=1) if a in fixed else a for a in arguments]
 
 
-def _check_empty_choices(arguments: Sequence[str]) -> None:
-    """Refuse `augment=` and `augment=null`: the group would have options but no choice."""
-    for argument in arguments:
-        group, equals, name = argument.partition("=")
-        if equals and group in OBJECT_GROUPS and name in ("", "null"):
-            variants = {file.stem for file in (CONF_DIR / group).glob("*.yaml")}
-            names = ", ".join(sorted({*choices(group), *variants}))
-            raise UserError(f"{group}: expected a choice, got {name!r}; available: {names}")
-
-
 def _instead_of_two(key: str, first: str, second: str) -> str:
     """What to write instead of two words with one key."""
-    both = f"{first.partition('=')[2]},{second.partition('=')[2]}"
     if key == SWEEP:
         return ONE_STUDY
-    if key.startswith("hydra") or key in NEUTRAL_KEYS:  # no values to compare
-        return "leave one out"
-    single = key in JOINABLE and both.count(",") == 1 and JOINED_BY not in both
-    joined = f"{key}=[{both}] for both in one run, " if single else ""
+    both = f"{first.partition('=')[2]},{second.partition('=')[2]}"
     alone = "" if key in GROUPS else "leave one out, or "
+    joined = f"{key}=[{both}] for both in one run, or " if key in JOINABLE else ""
     return f"{alone}write {joined}{key}={both} -m for a run of each"
 
 
-def _check_single_choices(overrides: Sequence[Override]) -> None:
-    """Refuse `preset=[a,b]`, and several studies: Hydra would mix their options."""
+def _check_choices(overrides: Sequence[Override]) -> None:
+    """Refuse `preset=[a,b]` and several studies, whose options Hydra would mix, and `reg=null`,
+    `~reg` and `~seed`: no part of a configuration can be removed."""
     for override in overrides:
-        group, listed = override.key_or_group, isinstance(override.value(), list)
-        if group == SWEEP and (listed or override.is_sweep_override()):
-            raise UserError(
-                f"{SWEEP}: expected one study, got several ({override.input_line}); {ONE_STUDY}"
-            )
-        if group in GROUPS and listed:
-            raise UserError(
-                f"{group}: expected one choice, got a list ({override.input_line}); write"
-                f" {group}=NAME, or {group}=a,b -m for a run of each"
-            )
-
-
-def _check_deleted(overrides: Iterable[Override]) -> None:
-    """Refuse `~reg` and `~seed`: no part of a configuration can be removed."""
-    for override in overrides:
-        key = override.key_or_group
-        if not override.is_delete() or key in REMOVABLE or key.startswith("hydra"):
-            continue
+        group, removed = override.key_or_group, override.is_delete()
         require(
-            key not in OBJECT_GROUPS,
-            f"~{key}: expected a choice of {key}, got none; write {key}=NAME, {program()} --help"
-            " lists them",
+            group not in OBJECT_GROUPS or not (removed or override.value() in (None, "")),
+            f"{group}: expected a choice, got none; write {group}=NAME, --help lists them",
         )
-        raise UserError(
-            f"~{key}: an option cannot be removed; leave this word out for the default, or write"
-            f" {key}=VALUE"
-        )
-
-
-def _length(override: Override) -> int:
-    """The number of values an override sweeps over."""
-    value = override.value()
-    require(
-        not isinstance(value, IntervalSweep),
-        f"{override.input_line}: expected a list of values, such as choice(0,0.5,1) or"
-        " range(0,1.1,0.5), got an interval; list the values",
-    )
-    if isinstance(value, ChoiceSweep):
-        return len(value.list)
-    if isinstance(value, RangeSweep):
-        assert value.start is not None and value.stop is not None
         require(
-            all(map(math.isfinite, (value.start, value.stop, value.step))),
-            f"{override.input_line}: expected finite bounds and step, got others; change them",
+            not removed or group in ("experiment", SWEEP) or group.startswith("hydra"),
+            f"~{group}: an option cannot be removed; leave this word out for the default",
         )
-        require(value.step != 0, f"{override.input_line}: expected a step other than 0; change it")
-        return max(0, math.ceil((value.stop - value.start) / value.step))
-    return 1
+        several = isinstance(override.value(), list)
+        several = several or (group == SWEEP and override.is_sweep_override())
+        advice = f"write {group}=NAME, or {group}=a,b -m for a run of each"
+        require(
+            group not in GROUPS or not several,
+            f"{group}: expected one choice, got several ({override.input_line});"
+            f" {ONE_STUDY if group == SWEEP else advice}",
+        )

@@ -20,18 +20,6 @@ TAIL_BYTES = 22 + 65535  # the closing record with the longest comment
 CLOSING, LOCATOR, CLOSING_64 = b"PK\5\6", b"PK\6\7", b"PK\6\6"
 
 
-class Archive(zipfile.ZipFile):
-    """A zip file that also closes the underlying file."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        super().__init__(file)
-
-    def close(self) -> None:
-        super().close()
-        self._file.close()
-
-
 def open_zip(path: Path, unpacked_bytes: int) -> zipfile.ZipFile:
     """Open an archive.
 
@@ -39,30 +27,22 @@ def open_zip(path: Path, unpacked_bytes: int) -> zipfile.ZipFile:
         UserError: for a damaged one, or if its file, table of contents or unpacked content is too
             large.
     """
-    file = open_regular(path, unpacked_bytes)
-    try:
-        return _opened(path, file, unpacked_bytes)
-    except BaseException:
-        file.close()
-        raise
-
-
-def _opened(path: Path, file: BinaryIO, unpacked_bytes: int) -> zipfile.ZipFile:
-    """The archive in `file`."""
-    contents = _contents_bytes(file)
+    with open_regular(path, unpacked_bytes) as file:
+        contents = _contents_bytes(file)
     require(
         contents <= CONTENTS_BYTES,
         f"{path}: expected a table of contents of at most {CONTENTS_BYTES:,} bytes, got"
         f" {contents:,}; pack fewer files",
     )
     try:
-        archive = Archive(file)
+        archive = zipfile.ZipFile(path)
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, struct.error) as error:
         raise UserError(
             f"{path}: expected a zip archive, got a damaged one ({error}); write it again"
         ) from None
     unpacked = sum(member.file_size for member in archive.infolist())
     if unpacked > unpacked_bytes:
+        archive.close()
         raise UserError(
             f"{path}: expected at most {unpacked_bytes:,} bytes when unpacked, got {unpacked:,};"
             " use smaller arrays (the limits are in framework/files/limits.py)"

@@ -12,7 +12,7 @@ import os
 import zipfile
 import zlib
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal
+from typing import IO, TYPE_CHECKING, Any
 
 from framework.errors import UserError, require
 from framework.files.archives import open_zip
@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 KINDS = "biuf"  # bool, integers, floating point
-UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, zipfile.BadZipFile, zlib.error)
+UNREADABLE = (
+    *(OSError, EOFError, RuntimeError, ValueError, OverflowError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -73,10 +76,10 @@ def _member(archive: zipfile.ZipFile, name: str, path: Path) -> NDArray[Any]:
 
 
 def _array(stream: IO[bytes], size: int, where: str) -> NDArray[Any]:
-    """The array whose header comes next, the whole being `size` bytes."""
-    import numpy as np
+    """The array that the stream holds, the whole being `size` bytes."""
+    from numpy.lib import format as npy
 
-    shape, fortran, dtype, start = _header(stream, where)
+    shape, dtype, start = _header(stream, where)
     require(
         dtype.kind in KINDS and dtype.subdtype is None,
         f"{where}: expected numbers, got type {str(dtype)[:60]}; save it as float32",
@@ -87,24 +90,15 @@ def _array(stream: IO[bytes], size: int, where: str) -> NDArray[Any]:
         f"{where}: expected {expected:,} bytes for shape {str(shape)[:80]} {dtype}, got {size:,}"
         f" (at most {ARRAY_BYTES:,}); the file is damaged or too large, write it again",
     )
-    data = bytearray(size - start)
-    view, at = memoryview(data), 0
+    stream.seek(0)
     try:
-        while at < len(data):
-            got = stream.readinto(view[at:])  # type: ignore[attr-defined]
-            require(got > 0, f"{where}: expected {size:,} bytes, got fewer; it is truncated")
-            at += got
+        return npy.read_array(stream, allow_pickle=False)
     except UNREADABLE as error:
-        raise error if isinstance(error, UserError) else _damaged(where, error) from None
-    order: Literal["F", "C"] = "F" if fortran else "C"
-    try:
-        return np.ndarray(shape, dtype, buffer=data, order=order)
-    except ValueError as error:  # of several sides, one 0, another beyond all integers
         raise _damaged(where, error) from None
 
 
-def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, Any, int]:
-    """(shape, Fortran order, dtype, bytes of the header)."""
+def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], Any, int]:
+    """(shape, dtype, bytes of the header)."""
     from numpy.lib import format as npy
 
     readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
@@ -112,7 +106,7 @@ def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, Any, 
         version = npy.read_magic(stream)
         if version not in readers:
             raise ValueError(f"version {version}")
-        shape, fortran, dtype = readers[version](stream)
+        shape, _, dtype = readers[version](stream)
         start = stream.tell()
     except Exception as error:  # a parser of Python text: tokenizer, recursion, unicode and others
         raise _damaged(where, error) from None
@@ -120,7 +114,7 @@ def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, Any, 
         all(type(n) is int and n >= 0 for n in shape),
         f"{where}: expected a shape of integers >= 0, got {str(shape)[:80]}; write it again",
     )
-    return shape, fortran, dtype, start
+    return shape, dtype, start
 
 
 def _damaged(where: str, error: Exception) -> UserError:

@@ -18,9 +18,9 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from framework.errors import UserError, mendable
+from framework.errors import UserError, mendable, os_line
 from framework.files.opened import read_bytes
-from framework.files.whole import Unwritable, unwritable, write_whole
+from framework.files.whole import Unwritable, write_whole
 
 LOCK, HOLDER = ".lock", ".lock.holder"
 HOLDER_BYTES = 4096
@@ -50,7 +50,7 @@ def locked(folder: Path, wait: bool = False) -> Iterator[None]:
     except OSError as error:
         if not mendable(error):
             raise
-        raise Unwritable(unwritable(error, folder / LOCK)) from error
+        raise Unwritable(os_line(error, folder / LOCK)) from error
     try:
         _sign(folder)
         yield

@@ -61,10 +61,4 @@ def own_plugins() -> list[tuple[str, Path]]:
     if not folder:
         return []
     files = [*Path(folder).glob("*.py"), *Path(folder).glob("*/*.py")]
-    named = [(file.relative_to(folder).as_posix(), file) for file in files if file.is_file()]
-    for place, _ in named:
-        require(
-            not any("\udc80" <= letter <= "\udcff" for letter in place),  # as Python decodes others
-            f"{folder}: the name of the plugin {place!r} is not UTF-8; rename it",
-        )
-    return sorted(named)
+    return sorted((file.relative_to(folder).as_posix(), file) for file in files if file.is_file())

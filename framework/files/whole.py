@@ -17,7 +17,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from framework.errors import FULL, UserError, mendable
+from framework.errors import UserError, mendable, os_line
 from framework.files.opened import is_file, open_regular
 
 TEMPORARY = re.compile(r"\..+\.\d+\.tmp")  # as `write_whole` names them
@@ -92,7 +92,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and mendable(error):
-            raise Unwritable(unwritable(error, path, len(data))) from error
+            raise Unwritable(os_line(error, path)) from error
         raise
 
 
@@ -107,18 +107,7 @@ def make_folder(path: Path) -> None:
     except OSError as error:
         if not mendable(error):
             raise
-        raise Unwritable(unwritable(error, path)) from error
-
-
-def unwritable(error: OSError, path: Path | str, n_bytes: int | None = None) -> str:
-    """One line about a file that could not be written, and what to do."""
-    what = "to write it"
-    if n_bytes is not None:
-        size = f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e5 else f"{n_bytes:,} bytes"
-        what = f"to write {size}"
-    full = error.errno in FULL
-    advice = "free some space" if full else "make the folder writable or choose another"
-    return f"{path}: expected {what}, got '{error.strerror}'; {advice} and run the same again"
+        raise Unwritable(os_line(error, path)) from error
 
 
 def remove_temporaries(folder: Path, pattern: str = "**/.*.tmp") -> None:

@@ -6,65 +6,37 @@ tests instead."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any, TypeVar
 
 from framework.errors import UserError, plugin_call
-from framework.shapes import check_gaussians, check_kind, check_tensor, check_view
+from framework.shapes import check_kind, check_tensor, check_view
 from framework.types import DepthMap, Scene, SparsePoints, TrainingSet
 
 T = TypeVar("T")
 
 
-def scene(name: str, cls: type, answer: T) -> T:
-    """Return `answer`, a Scene if `cls` is a plugin.
+def ask(where: str, part: object, method: Callable[[], T], check: Callable[[T], None]) -> T:
+    """Call a method of a part of a run, and check what it returns if the part is a plugin.
+
+    Args:
+        where: names the plugin and its method in messages.
+        part: the scene loader, depth provider or initializer.
+        method: the method with its arguments.
+        check: raises ValueError for a wrong value.
 
     Raises:
-        UserError: naming it, for anything else.
+        UserError: The plugin raised an exception, or the value is wrong.
     """
-    return _checked(f"scene={name}: load", cls, answer, check_scene)
-
-
-def depth(name: str, cls: type, answer: T, training: TrainingSet) -> T:
-    """Return `answer`, a map per training view.
-
-    Raises:
-        UserError: as `scene` does.
-    """
-    return _checked(f"depth={name}: measure", cls, answer, lambda maps: check_depth(maps, training))
-
-
-def gaussians(name: str, cls: type, answer: T, sh_degree: int) -> T:
-    """Return `answer`, Gaussians of this degree.
-
-    Raises:
-        UserError: as `scene` does.
-    """
-
-    def check(value: Any) -> None:
-        check_gaussians("the Gaussians", value, None, (sh_degree + 1) ** 2 - 1)
-
-    return _checked(f"init={name}: build", cls, answer, check)
-
-
-def _checked(where: str, cls: type, answer: T, check: Callable[[Any], None]) -> T:
-    if _built_in(cls):
-        return answer
+    if type(part).__module__.partition(".")[0] == "framework":
+        return method()
+    with plugin_call(where):
+        answer = method()
     with plugin_call(f"{where}: what it returns"):
         try:
             check(answer)
         except ValueError as error:
             raise UserError(f"{where}: {error}; fix the plugin") from error
     return answer
-
-
-def called(where: str, cls: type) -> AbstractContextManager[None]:
-    """Call a part of a run in this context: what a plugin raises names it (`plugin_call`)."""
-    return nullcontext() if _built_in(cls) else plugin_call(where)
-
-
-def _built_in(cls: type) -> bool:
-    return cls.__module__.partition(".")[0] == "framework"
 
 
 def check_scene(answer: Any) -> None:

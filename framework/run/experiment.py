@@ -11,6 +11,7 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,7 @@ from framework.run.preparation import (
 )
 from framework.run.training import Run, initial, renderer, thinned, train, within_seconds
 from framework.run.warmup import Warmup
+from framework.shapes import check_kind
 from framework.train.dose import summary as dose_summary
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.train.trainer import Trained
@@ -327,10 +329,13 @@ def run_experiment(
 def file_fingerprints(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
     """Fingerprints of the files that a run reads besides the scene's, by purpose; "" for none."""
     provider = registry.part("depth", config["depth"])
-    with answers.called(f"depth={config['depth']['name']}: fingerprint", type(provider)):
-        depth = provider.fingerprint(scene.training)
     return {
-        "depth": depth,
+        "depth": answers.ask(
+            f"depth={config['depth']['name']}: fingerprint",
+            provider,
+            partial(provider.fingerprint, scene.training),
+            lambda value: check_kind("the fingerprint", value, str),
+        ),
         "lpips_weights": fingerprint(config["metrics"]["lpips_weights"]),
     }
 

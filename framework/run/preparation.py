@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 from framework import registry
@@ -93,10 +94,9 @@ def options_of(config: Mapping[str, Any], group: str) -> Options:
 
 def loaded_scene(chosen: Mapping[str, Any]) -> Scene:
     """Load the scene that these options of `scene` choose."""
-    loader = registry.part("scene", dict(chosen))
-    with answers.called(f"scene={chosen['name']}: load", type(loader)):
-        loaded = loader.load()
-    scene = answers.scene(chosen["name"], type(loader), loaded)
+    loader = registry.part("scene", chosen)
+    where = f"scene={chosen['name']}: load"
+    scene: Scene = answers.ask(where, loader, loader.load, answers.check_scene)
     if chosen.get("n_views") == ALL:
         for line in _split_lines(scene):
             LOG.info(line)
@@ -105,10 +105,13 @@ def loaded_scene(chosen: Mapping[str, Any]) -> Scene:
 
 def estimated_depth(chosen: Mapping[str, Any], training: TrainingSet) -> tuple[DepthMap, ...]:
     """Estimate the depth of the training views by these options of `depth`."""
-    provider = registry.part("depth", dict(chosen))
-    with answers.called(f"depth={chosen['name']}: measure", type(provider)):
-        maps = provider.estimate(training)
-    return answers.depth(chosen["name"], type(provider), maps, training)
+    provider = registry.part("depth", chosen)
+    return answers.ask(
+        f"depth={chosen['name']}: measure",
+        provider,
+        partial(provider.estimate, training),
+        partial(answers.check_depth, training=training),
+    )
 
 
 @_stage

@@ -44,16 +44,16 @@ class Tracked:
         options: by full name (`trainer.steps`), None as "null".
         rows: (finished steps, name -> finite value), in order; names are the columns of
             `history.csv`, as `loss`, `test_psnr`, `log/...`.
-        summary: mean over the test views of each metric that could be measured, `gaussians` and
-            `train_s`.
+        summary: `summary/NAME`: mean over the test views of each metric that could be measured,
+            `gaussians` and `train_s`.
     """
 
     study: str
     name: str
     folder: Path
-    options: Mapping[str, str | int | float | bool]
-    rows: tuple[tuple[int, Mapping[str, float]], ...]
-    summary: Mapping[str, float]
+    options: dict[str, str | int | float | bool]
+    rows: tuple[tuple[int, dict[str, float]], ...]
+    summary: dict[str, float]
 
 
 def _tensorboard(run: Tracked) -> None:
@@ -66,8 +66,7 @@ def _tensorboard(run: Tracked) -> None:
         for step, values in run.rows:
             for name, value in values.items():
                 writer.add_scalar(name, value, step)
-        final = {f"summary/{name}": value for name, value in run.summary.items()}
-        writer.add_hparams(dict(run.options), final, run_name=".")
+        writer.add_hparams(run.options, run.summary, run_name=".")
 
 
 def _mlflow(run: Tracked) -> None:
@@ -81,38 +80,39 @@ def _mlflow(run: Tracked) -> None:
         for start in range(0, len(options), MOST_PARAMS):
             mlflow.log_params(dict(options[start : start + MOST_PARAMS]))
         for step, values in run.rows:
-            mlflow.log_metrics(dict(values), step=step)
-        mlflow.log_metrics({f"summary/{name}": value for name, value in run.summary.items()})
+            mlflow.log_metrics(values, step=step)
+        mlflow.log_metrics(run.summary)
 
 
 def _wandb(run: Tracked) -> None:
     """To the account of `wandb login`, or into `run.folder` with `WANDB_MODE=offline`."""
     import wandb
 
-    place = {"project": PROJECT, "group": run.study, "name": run.name, "dir": str(run.folder)}
-    # it would copy the terminal of what runs next in this process, and its summary onto it
-    quiet = wandb.Settings(silent=True, console="off")
-    # "create_new": one process may do many runs
-    how = {"reinit": "create_new", "settings": quiet}
-    with wandb.init(**place, **how, config=dict(run.options)) as session:
+    with wandb.init(
+        project=PROJECT,
+        group=run.study,
+        name=run.name,
+        dir=str(run.folder),
+        config=run.options,
+        reinit="create_new",  # one process may do many runs
+        # it would copy the terminal of what runs next in this process, and its summary onto it
+        settings=wandb.Settings(silent=True, console="off"),
+    ) as session:
         for step, values in run.rows:
-            session.log(dict(values), step=step)
-        session.summary.update({f"summary/{name}": value for name, value in run.summary.items()})
+            session.log(values, step=step)
+        session.summary.update(run.summary)
 
 
 def _trackio(run: Tracked) -> None:
     """Into trackio's own folder; it has no summary, so the last step gets it."""
     import trackio
 
-    place = {"project": PROJECT, "group": run.study, "name": run.name}
     with contextlib.redirect_stdout(io.StringIO()):  # it prints seven lines for each run
-        trackio.init(**place, config=dict(run.options))
+        trackio.init(project=PROJECT, group=run.study, name=run.name, config=run.options)
         try:
             for step, values in run.rows:
-                trackio.log(dict(values), step=step)
-            last = run.rows[-1][0] if run.rows else 0
-            summary = {f"summary/{name}": value for name, value in run.summary.items()}
-            trackio.log(summary, step=last)
+                trackio.log(values, step=step)
+            trackio.log(run.summary, step=run.rows[-1][0] if run.rows else 0)
         finally:
             trackio.finish()
 
@@ -191,7 +191,7 @@ def tracked(run: Run) -> Tracked:
         folder=folder / FOLDER,
         options=dict(_flat("", record.config)),
         rows=rows,
-        summary=_finite(ended),
+        summary={f"summary/{name}": value for name, value in _finite(ended).items()},
     )
 
 

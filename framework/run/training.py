@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -34,6 +34,7 @@ from framework.registry import ActivePlugin
 from framework.run import answers, budget
 from framework.run.members import IDLE, in_turn, join, member_seed, second_seed, tuning_options
 from framework.run.student import after_lesson, student_options, teacher
+from framework.shapes import check_gaussians
 from framework.train import schedule
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints, pack, remove_checkpoints
@@ -174,6 +175,55 @@ class Part:
         return trained
 
 
+class _Trainings:
+    """The trainings of a run, as parts of one progress display.
+
+    Attributes:
+        starts: initial Gaussians of the parts; each is dropped when its training has copied it.
+    """
+
+    def __init__(self, run: Run, parts: Sequence[Part], progress: Progress) -> None:
+        self.run, self.parts, self.progress = run, parts, progress
+        self.resumed = _resumed(parts, progress)
+        n_steps = sum(part.options.steps for part in parts)
+        self.whole = Parts(progress, n_steps, [part.done for part in parts])
+        self.starts = dict[int, Gaussians]()
+
+    def train(
+        self,
+        k: int,
+        check: Callable[[], None] = lambda: None,
+        sh_from: int = 0,
+        augmenter: Augmenter | None = None,
+    ) -> Trained:
+        """Train part `k` from `starts[k]`; `check` raises if another part has failed."""
+        progress = PartProgress(self.whole, k, check)
+        return self.parts[k].train(self.starts.pop(k), progress, self.resumed, sh_from, augmenter)
+
+    def members(self, n: int) -> list[list[Trained]]:
+        """Train the `n` members; those that were trained at the same time are a list."""
+        rounds, at_once = list[list[Trained]](), threads() if threads() < 2 * n else 1
+        for first in range(0, n, at_once):
+            members = range(first, min(n, first + at_once))
+            if n > 1:
+                names = ", ".join(str(k + 1) for k in members)
+                self.progress.stage(f"members {names} of {n}")
+            self.starts.update((k, self.run.start(self.parts[k].seed)) for k in members)
+            rounds.append(run_together([partial(self.train, k) for k in members]))
+        return rounds
+
+    def student(self, gaussians: Gaussians, degree: int, members: Sequence[Trained]) -> Trained:
+        """Train the last part, the student of the joined `gaussians`, from `members`."""
+        self.progress.stage("a student of the members")
+        watch, last, run = Stopwatch(), len(self.parts) - 1, self.run
+        near = run.near(self.parts[0].options)
+        render = thinned(gaussians, members[0].background, degree, near, run.rasterizer)
+        augmenter = teacher(run.scene.training, render, self.parts[0].seed)
+        self.starts[last] = join([member.gaussians for member in members])
+        prepared_s = watch.wall_s, watch.cpu_s
+        return after_lesson(self.train(last, sh_from=degree, augmenter=augmenter), *prepared_s)
+
+
 def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     """Train, or continue an interrupted training.
 
@@ -191,51 +241,24 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     options = _paced(run, config, progress)
     for line in schedule.inert(options):
         LOG.warning(line)
-    parts = _parts(run, config, options)
-    resumed = _resumed(parts, progress)
-    n_steps = sum(part.options.steps for part in parts)
-    whole = Parts(progress, n_steps, [part.done for part in parts])
-
-    starts = dict[int, Gaussians]()  # each is dropped when its training has copied it
-
-    def task(
-        k: int, check: Callable[[], None], sh_from: int = 0, augmenter: Augmenter | None = None
-    ) -> Trained:
-        part = PartProgress(whole, k, check)
-        return parts[k].train(starts.pop(k), part, resumed, sh_from, augmenter)
-
-    n, rounds = options.members, list[list[Trained]]()
-    at_once = threads() if threads() < 2 * n else 1
-    for first in range(0, n, at_once):
-        members = range(first, min(n, first + at_once))
-        if n > 1:
-            progress.stage(f"members {', '.join(str(k + 1) for k in members)} of {n}")
-        starts.update((k, run.start(parts[k].seed)) for k in members)
-        rounds.append(run_together([partial(task, k) for k in members]))
+    n, trainings = options.members, _Trainings(run, _parts(run, config, options), progress)
+    rounds = trainings.members(n)
     if n == 1:
         return rounds[0][0]
-    separate = [member for members in rounds for member in members]
-    gaussians = join([member.gaussians for member in separate])
+    members = [member for at_once in rounds for member in at_once]
+    gaussians = join([member.gaussians for member in members])
     # a member may have lost all its bands (capacity=evidence); the others keep theirs
-    degree = max(member.sh_degree for member in separate)
-    if len(parts) == n:
+    degree = max(member.sh_degree for member in members)
+    if len(trainings.parts) == n:
         joined = replace(in_turn(rounds, gaussians), sh_degree=degree)
         return _evaluated(run, joined, options)
     if options.tuning > 0:
         progress.stage("tuning of the members together")
-        starts[n] = gaussians
-        rounds.append([task(n, lambda: None, sh_from=degree)])
+        trainings.starts[n] = gaussians
+        rounds.append([trainings.train(n, sh_from=degree)])
         gaussians = rounds[-1][0].gaussians
     if schedule.taught(options):
-        progress.stage("a student of the members")
-        watch, last = Stopwatch(), len(parts) - 1
-        background, near = separate[0].background, run.near(options)
-        render = thinned(gaussians, background, degree, near, run.rasterizer)
-        taught_by = teacher(run.scene.training, render, parts[0].seed)
-        starts[last] = join([member.gaussians for member in separate[: options.kept]])
-        prepared_s = watch.wall_s, watch.cpu_s
-        student = task(last, lambda: None, degree, taught_by)
-        rounds.append([after_lesson(student, *prepared_s)])
+        rounds.append([trainings.student(gaussians, degree, members[: options.kept])])
     return in_turn(rounds, rounds[-1][0].gaussians)
 
 
@@ -289,10 +312,13 @@ def initial(
     seed: int,
 ) -> Gaussians:
     """Make the initial Gaussians with the chosen initializer."""
-    builder = registry.part("init", config["init"])
-    with answers.called(f"init={config['init']['name']}: build", type(builder)):
-        gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
-    return answers.gaussians(config["init"]["name"], type(builder), gaussians, options.sh_degree)
+    builder, degree = registry.part("init", config["init"]), options.sh_degree
+    return answers.ask(
+        f"init={config['init']['name']}: build",
+        builder,
+        partial(builder.build, scene.training, depth, degree, seed),
+        lambda value: check_gaussians("the Gaussians", value, None, (degree + 1) ** 2 - 1),
+    )
 
 
 def _paced(run: Run, config: Mapping[str, Any], progress: Progress) -> TrainerOptions:
@@ -339,7 +365,7 @@ def _parts(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> list
     return parts
 
 
-def _resumed(parts: list[Part], progress: Progress) -> int:
+def _resumed(parts: Sequence[Part], progress: Progress) -> int:
     """How often the run was resumed, this time included; 0 for a new one."""
     kept = [part.kept for part in parts if part.kept is not None]
     if not kept:

@@ -17,7 +17,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -109,12 +108,9 @@ class Warmup:
     def _load(self) -> None:
         training, depth, gaussians = textured_plane(int(self.config["trainer"]["sh_degree"]))
         with alone():
-            for load in (
-                partial(_initialize, self.config["init"], training, depth),
-                partial(_train, self.config, training, depth, gaussians, LOAD_STEPS),
-            ):
-                with contextlib.suppress(Exception):  # it fails again in the run, with a message
-                    load()
+            _initialize(self.config["init"], training, depth)
+            with contextlib.suppress(Exception):  # it fails again in the run, with a message
+                _train(self.config, training, depth, gaussians, LOAD_STEPS)
 
     def _announce(self) -> None:
         """Show once that kernels are compiled."""

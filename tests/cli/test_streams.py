@@ -9,7 +9,7 @@ from framework.command.config.schema import ROOT
 
 CODE = """
 import sys
-from framework.command.streams import make_safe
+from framework.command.entry import make_safe
 make_safe()
 opened = open("file.txt", "w")
 assert opened.fileno() > 2  # else what libraries print would end up in it

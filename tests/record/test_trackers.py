@@ -81,9 +81,9 @@ def test_what_a_tracker_gets(tmp_path: Path) -> None:
     assert got.options["augment.name"] == "safi" and got.options["metrics.lpips_weights"] == "null"
     assert [step for step, _ in got.rows] == list(run.history.numbers["step"])
     assert got.rows[-1][1]["loss"] == run.history.numbers["loss"][-1]
-    assert got.summary["psnr"] == run.record.summary["psnr"]
-    assert got.summary["gaussians"] == run.record.gaussians
-    assert "lpips" not in got.summary  # was not measured
+    assert got.summary["summary/psnr"] == run.record.summary["psnr"]
+    assert got.summary["summary/gaussians"] == run.record.gaussians
+    assert "summary/lpips" not in got.summary  # was not measured
 
 
 def test_a_record_is_sent_once(tmp_path: Path, stand_in: Any) -> None:

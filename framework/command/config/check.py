@@ -7,11 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
-from omegaconf import MISSING
-
 from framework import registry
 from framework.command.config.schema import (
-    CONF_DIR,
     GROUPS,
     METRICS,
     OBJECT_GROUPS,
@@ -20,7 +17,6 @@ from framework.command.config.schema import (
     rows,
 )
 from framework.errors import UserError, nearest_hint, require
-from framework.files.documents import read_yaml
 from framework.metrics.values import measures
 from framework.options import TrainerOptions
 from framework.run import trackers
@@ -32,19 +28,24 @@ FEW = 4  # choices with an option that a hint names
 def check(config: Mapping[str, Any]) -> None:
     """Raise UserError unless `config` (plain, resolved) describes a run that can start.
 
-    Every group needs a choice, every required option a value, and no key may be unknown (Hydra
-    accepts `+key=value`). Then the chosen classes check their options. Reads no scene.
+    No key may be unknown (Hydra accepts `+key=value`), and every group needs a choice. The chosen
+    classes check their options. Reads no scene.
     """
-    _known_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
-    _known_keys("trainer.", config["trainer"], TRAINER)
-    _known_keys("metrics.", config["metrics"], METRICS)
+    _check_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
+    _check_keys("trainer.", config["trainer"], TRAINER)
+    _check_keys("metrics.", config["metrics"], METRICS)
     _check_integers("", config)
     for group in OBJECT_GROUPS:
-        _check_choice(group, config[group])
-    for group in registry.GROUPS:
-        registry.build_all(group, config[group])
-    for group in [group for group in OBJECT_GROUPS if group not in registry.GROUPS]:
-        registry.part(group, config[group])
+        options = config[group]
+        require(
+            isinstance(options, Mapping) and "name" in options,
+            f"{group}: expected a choice, got none; add {group}=NAME, available:"
+            f" {', '.join(choices(group))}",
+        )
+        if group in registry.GROUPS:
+            registry.build_all(group, options)
+        else:
+            registry.part(group, options)
     measures(config["metrics"].get("also"))
     views = config["metrics"].get("views", 0)
     require(views >= 0, f"metrics.views: expected an integer >= 0, got {views}; 0 evaluates all")
@@ -59,7 +60,7 @@ def check(config: Mapping[str, Any]) -> None:
 
 
 def _check_integers(prefix: str, options: Mapping[str, Any]) -> None:
-    """Raise UserError for an integer that libraries cannot take."""
+    """Raise UserError for an integer that libraries and records cannot hold."""
     for key, value in options.items():
         if isinstance(value, Mapping):
             _check_integers(f"{prefix}{key}.", value)
@@ -82,59 +83,13 @@ def _check_scalars(seed: int, threads: int, study: str | None) -> None:
     )
 
 
-def _check_choice(group: str, options: Any) -> None:
-    """A group needs a name and all its required options."""
-    if not isinstance(options, Mapping) or "name" not in options:
-        raise UserError(
-            f"{group}: expected a choice, got none; add {group}=NAME, available:"
-            f" {', '.join(choices(group.partition('.')[0]))}"
-        )
-    title = f"{group}={options['name']}"
-    parts = registry.parts_of(group, str(options["name"]))
-    if len(parts) > 1:
-        for key in [key for key in options if key not in ("name", *parts)]:
-            there = places_of(group, key, parts)
-            require(not there, f"{group}.{key}: unknown option of {title}; did you mean {there}?")
-        _known_keys(f"{group}.", [key for key in options if key != "name"], parts, title)
-        for part in parts:
-            _check_choice(f"{group}.{part}", options.get(part))
-        return
-    kind = group.partition(".")[0]
-    allowed = [row[0] for row in rows(kind, options["name"])]
-    _known_keys(f"{group}.", {k: v for k, v in options.items() if k != "name"}, allowed, title)
-    for key, value in options.items():
-        require(
-            value != MISSING,
-            f"{group}.{key}: required by {title}, got nothing; add {group}.{key}=VALUE",
-        )
-
-
-def places_of(group: str, key: str, names: Iterable[str]) -> str:
-    """The choices of a group that have an option, as `'reg.uar.p' or 'reg.uniform.p'`."""
-    return " or ".join(f"'{group}.{n}.{key}'" for n in names if key in _options(group, n))
-
-
-def _options(group: str, name: str) -> set[str]:
-    """The options of a choice or a variant (`uar_hard`); empty for an unknown name."""
-    while group in OBJECT_GROUPS and name not in choices(group):
-        file = CONF_DIR / group / f"{name}.yaml"
-        read = read_yaml(file) if file.is_file() else {}
-        of = [one for one in read.get("defaults", ()) if isinstance(one, str) and one != "_self_"]
-        if not of:
-            return set()
-        name = of[0]
-    return {row[0] for row in rows(group, name)} if group in OBJECT_GROUPS else set()
-
-
-def _known_keys(
-    prefix: str, values: Iterable[str], allowed: Iterable[str], owner: str = ""
-) -> None:
-    options = list(allowed)
-    place = f" of {owner}" if owner else ""
-    for key in values:
+def _check_keys(prefix: str, keys: Iterable[str], expected: Iterable[str]) -> None:
+    """Raise UserError for a key that a section does not have."""
+    options = list(expected)
+    for key in keys:
         if key not in options:
             advice = hint(prefix.rstrip("."), str(key), options)
-            raise UserError(f"{prefix}{key}: unknown option{place}; {advice}")
+            raise UserError(f"{prefix}{key}: unknown option; {advice}")
 
 
 def hint(section: str, key: str, allowed: Iterable[str]) -> str:

@@ -34,7 +34,7 @@ def plain(config: DictConfig) -> dict[str, Any]:
 def _plain_value(config: DictConfig, key: str) -> Any:
     if OmegaConf.is_missing(config, key):
         return MISSING
-    value = config[key]
+    value = config[key]  # converts what `${...}` gives to the declared type
     return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
 
 

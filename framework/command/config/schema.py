@@ -25,6 +25,7 @@ from framework import registry
 from framework.command.hydra_inside import JoinedChoices
 from framework.options import TrainerOptions
 from framework.records import record_check
+from framework.registry import Row
 
 PACKAGE = Path(framework.__file__).resolve().parent
 ROOT = PACKAGE.parent  # of the repository, or where packages are installed
@@ -36,9 +37,6 @@ CONF_DIR, SWEEPS_DIR = ((PACKAGE if INSTALLED else ROOT) / name for name in ("co
 # regularizer), `experiment` and `sweep` only bundle choices of these.
 OBJECT_GROUPS = record_check.GROUPS
 GROUPS = (*OBJECT_GROUPS, "preset", "method", "experiment", "sweep")
-
-Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
-
 
 SCALARS = {
     **{"seed": int, "study": str | None, "threads": int},

@@ -14,7 +14,7 @@ import argparse
 import contextlib
 import importlib.util
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,11 @@ from framework.command.config.naming import study_dir
 from framework.command.config.schema import register_config
 from framework.command.overrides import normalise
 from framework.command.program import program
-from framework.command.search.driver import JUDGES, Search, check_search, fixed_of, run_search
+from framework.command.search.driver import JUDGES, Search, run_search
 from framework.command.search.space import space_of
 from framework.command.search.trial import job_of
 from framework.command.studies.study import short_path
-from framework.errors import Arguments, UserError, require
+from framework.errors import Arguments, require
 from framework.files.locks import locked
 from framework.records.progress import say
 from framework.scenes import HELD_OUT, UNTESTED, untested
@@ -55,7 +55,6 @@ def main(arguments: Sequence[str], prog: str) -> int:
     hydra = [word for word in options.words if word.lstrip("+~").startswith("hydra")]
     require(not hydra, f"{prog}: expected options of a run, got {' '.join(hydra)}; leave it out")
     search = _search(options)
-    check_search(search)
     try:
         with locked(search.folder / ALONE):
             best = run_search(search)
@@ -66,6 +65,15 @@ def main(arguments: Sequence[str], prog: str) -> int:
 
 
 def _search(options: Any) -> Search:
+    require(
+        options.metric in JUDGES,
+        f"--metric: expected one of {', '.join(JUDGES)}, got {options.metric!r}; choose one",
+    )
+    for flag, value in (("--trials", options.trials), ("--jobs", options.jobs)):
+        require(
+            1 <= value <= 10_000,
+            f"{flag}: expected a number from 1 to 10,000, got {value}; choose another",
+        )
     fixed, space = space_of(normalise(options.words))
     outer = [d.key for d in space if d.key.lstrip("+").partition(".")[0] in ("seed", "scene")]
     require(
@@ -74,22 +82,13 @@ def _search(options: Any) -> Search:
         " choose what is measured; give one value, and judge the best with several",
     )
     first = [dimension.first for dimension in space]
-    scene = job_of([*fixed, *first]).config["scene"]
-    split = str(scene.get("split", UNTESTED))
-    if untested(split):
-        raise UserError(
-            f"search: expected a scene some of whose photos can be held out, got"
-            f" scene={scene['name']}{'' if 'split' not in scene else ' scene.split=none'}; choose"
-            " another, test views may not choose"
-        )
-    held_out = split if split.endswith(HELD_OUT) else f"{split}{HELD_OUT}"
-    fixed = fixed_of(fixed, scene, held_out)
+    fixed = _held_out(fixed, job_of([*fixed, *first]).config["scene"])
     if options.name is not None or not any(word.startswith("study=") for word in fixed):
-        name = options.name or f"search_{_study(fixed, first)}"
-        fixed = [*(word for word in fixed if not word.startswith("study=")), f"study={name}"]
-    folder = study_dir(Path(job_of([*fixed, *first]).run_dir))
+        scene = study_dir(Path(job_of([*fixed, *first]).run_dir)).name
+        fixed = [word for word in fixed if not word.startswith("study=")]
+        fixed.append(f"study={options.name or f'search_{scene}'}")
     return Search(
-        folder=folder,
+        folder=study_dir(Path(job_of([*fixed, *first]).run_dir)),
         fixed=tuple(fixed),
         space=tuple(space),
         metric=options.metric,
@@ -99,8 +98,20 @@ def _search(options: Any) -> Search:
     )
 
 
-def _study(fixed: Sequence[str], first: Sequence[str]) -> str:
-    return study_dir(Path(job_of([*fixed, *first]).run_dir)).name
+def _held_out(words: Sequence[str], scene: Mapping[str, Any]) -> list[str]:
+    """`words` with a split of the scene that tests held-out training views."""
+    split = str(scene.get("split", UNTESTED))
+    shown = " scene.split=none" if "split" in scene else ""
+    require(
+        not untested(split),
+        "search: expected a scene some of whose photos can be held out, got"
+        f" scene={scene['name']}{shown}; choose another, test views may not choose",
+    )
+    split = split if split.endswith(HELD_OUT) else f"{split}{HELD_OUT}"
+    return [
+        *(word for word in words if not word.startswith("scene.split=")),
+        f"scene.split={split}",
+    ]
 
 
 def _conclude(search: Search, best: list[str] | None, prog: str) -> int:

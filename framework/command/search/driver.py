@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from typing import Any
 
 from framework.command.search.space import Dimension
 from framework.command.search.trial import Result, Slot
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.files.whole import write_whole
 from framework.metrics.values import LOWER
 from framework.records.progress import say
@@ -185,25 +185,3 @@ def _run(search: Search, trials: Trials, slots: list[Slot]) -> None:
             trials.ended(number, result)
             trials.left -= 1
             free.append(slot)
-
-
-def check_search(search: Search) -> None:
-    """Raise UserError for numbers that no search can have."""
-    require(
-        search.metric in JUDGES,
-        f"--metric: expected one of {', '.join(JUDGES)}, got {search.metric!r}; choose one",
-    )
-    for flag, value in (("--trials", search.trials), ("--jobs", search.at_once)):
-        if not 1 <= value <= 10_000:
-            raise UserError(
-                f"{flag}: expected a number from 1 to 10,000, got {value}; choose another"
-            )
-
-
-def fixed_of(words: Sequence[str], scene: Mapping[str, Any], split: str) -> list[str]:
-    """The words with another split of the scene."""
-    assert "split" in scene
-    return [
-        *(word for word in words if not word.startswith("scene.split=")),
-        f"scene.split={split}",
-    ]

@@ -9,12 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-
-from framework.command.complaints import composing
-from framework.command.config.check import check
-from framework.command.config.naming import plain, register_resolvers
-from framework.command.config.schema import CONF_DIR, register_config
+from framework.command.config.composed import configuration
 from framework.command.program import program
 from framework.command.runner import Job
 from framework.command.studies.failures import record_failure
@@ -62,16 +57,17 @@ class Slot:
 
 def job_of(words: Sequence[str]) -> Job:
     """The run that the words of a command line describe, checked."""
-    register_resolvers()
-    register_config()
-    with initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)), composing():
-        composed = compose("config", overrides=list(words), return_hydra_config=True)
-        config = plain(composed)
-        check(config)
-        run_dir = str(composed.hydra.run.dir)
-    again = f"{program()} {' '.join(words)}"
-    config["study"] = config["study"] or Path(run_dir).parent.parent.name
-    return Job(0, run_dir, config, list(words), "", False, True, again)
+    run = configuration(words)
+    return Job(
+        number=0,
+        run_dir=str(run.folder),
+        config=run.values,
+        overrides=list(words),
+        label="",
+        alone=False,
+        multirun=True,
+        again=f"{program()} {' '.join(words)}",
+    )
 
 
 def run(words: list[str], label: str, metric: str) -> Result:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -56,14 +56,11 @@ def estimate(configs: Sequence[Config], measure: Callable[[Config], Cost]) -> tu
     distinct = {_method(config): config for config in configs}
     every = max(1, -(-len(distinct) // MOST_TRIALS))
     costs = {key: measure(distinct[key]) for key in list(distinct)[::every]}
-    step_s, run_s, scene_s = (
-        fmean(getattr(cost, name) for cost in costs.values())
-        for name in ("step_s", "run_s", "scene_s")
-    )
-    mean = Cost(step_s, run_s, scene_s)
+    parts = zip(*map(astuple, costs.values()), strict=True)
+    mean = Cost(*(fmean(seconds) for seconds in parts))
     total = sum(_seconds(config, costs.get(_method(config), mean)) for config in configs)
     scenes = {json.dumps([config["scene"], config["depth"]]) for config in configs}
-    return total + (len(scenes) - 1) * scene_s, len(costs)  # the trials load one
+    return total + (len(scenes) - 1) * mean.scene_s, len(costs)  # the trials load one
 
 
 def measure(config: Config) -> Cost:

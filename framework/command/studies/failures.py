@@ -26,14 +26,7 @@ from framework.command.studies.study import (
     job_count,
     outcomes,
 )
-from framework.errors import (
-    UserError,
-    memory_line,
-    mendable,
-    os_line,
-    out_of_memory,
-    printable_line,
-)
+from framework.errors import UserError, machine_line, mendable
 from framework.files.locks import Busy
 from framework.records import RUN_FOLDERS
 
@@ -47,26 +40,26 @@ def kind_of(error: BaseException) -> str:
         return error.kind
     if isinstance(error, USER_ERRORS):
         return UserError.kind
-    return "machine" if isinstance(error, OSError) or out_of_memory(error) else "bug"
+    return "machine" if isinstance(error, OSError) or machine_line(error) else "bug"
 
 
-def record_failure(job: Job, raised: Exception) -> Outcome:
+def record_failure(job: Job, error: Exception) -> Outcome:
     """Write a failure into the run's record, unless the run never began, and into the ledger.
 
     Returns:
         The entry of the ledger.
     """
-    error, run_dir = _as_bad_input(raised), Path(job.run_dir)
     message, kind = _shown(error, job.config["traceback"]), kind_of(error)
     message = with_variant(message, job.overrides)
     bad_input, busy = isinstance(error, USER_ERRORS), isinstance(error, Busy)
+    about_path = isinstance(error, OSError) and mendable(error)
+    fixable = bad_input or machine_line(error) is not None  # by the user
     if busy:
         pass  # the other process writes the record
-    elif job.multirun or not bad_input:
+    elif job.multirun or not (bad_input or about_path):
         message = _recorded(job, message, kind)
     else:  # a lone mistyped run is not worth a record, nor a folder
-        _discard(run_dir)
-    fixable = bad_input or out_of_memory(error)  # by the user
+        _discard(Path(job.run_dir))
     outcome = Outcome(job.number, job.run_dir, message, kind, job.again, fixable, busy)
     add_outcome(outcome)
     return outcome
@@ -113,8 +106,9 @@ def _failure_lines(failed: Sequence[Outcome], total: int) -> list[str]:
         f"error: {len(runs)} of {total} runs failed; the same command repeats them, the command"
         " below each repeats it alone",
         *_table(runs[:MOST_ROWS]),
-        *_rest(len(runs) - MOST_ROWS),
     ]
+    if len(runs) > MOST_ROWS:
+        lines.append(f"  ... and {len(runs) - MOST_ROWS} more, see the report")
     return [*lines, *(f"error: {o.error}" for o in failed if o.kind == REPORT)]
 
 
@@ -127,32 +121,13 @@ def _table(failed: Sequence[Outcome]) -> list[str]:
     return [lines[0], *(line for pair in zip(lines[1:], commands, strict=True) for line in pair)]
 
 
-def _rest(count: int) -> list[str]:
-    return [f"  ... and {count} more, see the report"] if count > 0 else []
-
-
-def _as_bad_input(error: Exception) -> Exception:
-    """Turn an error of the system about a file or folder into a UserError."""
-    if not isinstance(error, OSError) or not mendable(error):
-        return error
-    refused = UserError(os_line(error))
-    refused.__cause__ = error  # for traceback=true
-    return refused
-
-
 def _shown(error: Exception, show: bool) -> str:
     """The one-line message of a failed run; a bug shows its traceback at once."""
-    if isinstance(error, USER_ERRORS):
-        if show:
-            traceback.print_exception(error)
-        return one_line(error)
-    if out_of_memory(error):
-        if show:
-            traceback.print_exception(error)
-        return printable_line(memory_line(error))
-    traceback.print_exception(error)
+    line = one_line(error) if isinstance(error, USER_ERRORS) else machine_line(error)
+    if show or line is None:
+        traceback.print_exception(error)
     first = next(iter(str(error).splitlines()), "")
-    return f"{type(error).__name__}: {first}".rstrip(": ")
+    return line or f"{type(error).__name__}: {first}".rstrip(": ")
 
 
 def _recorded(job: Job, message: str, kind: str) -> str:

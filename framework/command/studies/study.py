@@ -28,13 +28,13 @@ from framework.command.config.check import check
 from framework.command.config.naming import plain, study_dir
 from framework.command.hydra_inside import jobs_of
 from framework.command.launchers.supported import watch_workers
-from framework.command.overrides import check_method, check_run_count, parsed
+from framework.command.overrides import check_method, parsed
 from framework.command.program import program
 from framework.command.studies.closing import closing, short_path
 from framework.command.studies.estimate import announce
 from framework.command.studies.ready import check_links, check_ready
 from framework.compute.stopwatch import Stopwatch, duration
-from framework.errors import UserError, mendable, os_line, printable_line, require
+from framework.errors import UserError, machine_line, printable_line, require
 from framework.files.cache import cache_dir, usable
 from framework.files.locks import locked
 from framework.files.whole import remove_temporaries, write_whole
@@ -191,10 +191,10 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
     assert isinstance(params, dict)
     parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
     typed = parser.parse_overrides(list(config.hydra.overrides.task))
-    check_run_count(typed, params)
     check_method(typed, params)
     swept = parser.parse_overrides([f"{key!s}={value}" for key, value in params.items()])
-    jobs = jobs_of([*swept, *typed])
+    with composing():
+        jobs = jobs_of([*swept, *typed])
     empty = [str(o.input_line) for o in (*swept, *typed) if not jobs and not jobs_of([o])]
     require(len(jobs) > 0, f"multirun: {' '.join(empty)} gives no value, so there is no run")
     return jobs
@@ -283,9 +283,9 @@ def build_reports() -> None:
         except Exception as error:
             # not the number of a run: a killed one has no outcome
             number = max(job_count() or 0, 1 + max(outcome.number for outcome in outcomes()))
-            bad_input, again = isinstance(error, UserError), f"{program()} report {folder}"
-            reason = f"{type(error).__name__}: {error}"
-            if isinstance(error, OSError) and mendable(error):
-                bad_input, reason = True, os_line(error)
+            reason = machine_line(error)
+            fixable = isinstance(error, UserError) or reason is not None
+            reason = reason or f"{type(error).__name__}: {error}"
             message = printable_line(f"report of {short_path(folder)}: {reason}")
-            add_outcome(Outcome(number, str(folder), message, REPORT, again, bad_input=bad_input))
+            again = f"{program()} report {folder}"
+            add_outcome(Outcome(number, str(folder), message, REPORT, again, bad_input=fixable))
