@@ -96,6 +96,16 @@ def test_warnings_reach_the_verdict_and_the_notes(tmp_path: Path) -> None:
     assert caution in first_screen(tmp_path)
 
 
+def test_warnings_that_differ_in_numbers_alone_are_one(tmp_path: Path) -> None:
+    for seed, epochs in enumerate((12, 9, 10)):
+        run = fake_run(tmp_path, seed=seed)
+        content = json.loads((run / "record.json").read_text())
+        content["warnings"] = [f"augment=safi: made a pseudo view in only {epochs} of 20 epochs"]
+        (run / "record.json").write_text(json.dumps(content))
+    merged = "augment=safi: made a pseudo view in only 9 to 12 of 20 epochs"
+    assert merged in first_screen(tmp_path)
+
+
 # --- another baseline ---
 
 

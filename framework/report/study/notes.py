@@ -3,6 +3,7 @@
 
 import math
 import os
+import re
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from framework.records.record import EXPOSURE, FAILED, LEARNED, read_failure
 from framework.report.study.methods import Method
 from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import code, outside
+
+NUMBER = re.compile(r"(?<![\w.,/=-])(\d+(?:\.\d+)?)(?![\w.,/-]*\w)")  # not part of a name
 
 K = TypeVar("K")
 Runs = Sequence[ReportRun]
@@ -38,12 +41,24 @@ def grouped(runs: Runs, key: Callable[[ReportRun], K]) -> dict[K, list[ReportRun
 
 
 def warnings(study: Study) -> dict[str, list[ReportRun]]:
-    """Every distinct warning with the runs that gave it."""
-    gave: dict[str, list[ReportRun]] = defaultdict(list)
+    """Every distinct warning with the runs that gave it. Those that differ in numbers alone are
+    one, with the range of each number."""
+    gave: dict[tuple[str, ...], list[tuple[list[str], ReportRun]]] = defaultdict(list)
     for run in study.runs:
         for text in run.record.warnings:
-            gave[outside(text)].append(run)
-    return gave
+            parts = NUMBER.split(outside(text))
+            gave[tuple(parts[::2])].append((parts[1::2], run))
+    return {_ranged(words, group): [run for _, run in group] for words, group in gave.items()}
+
+
+def _ranged(words: Sequence[str], group: Sequence[tuple[list[str], ReportRun]]) -> str:
+    """The text with the range of each number in between the words."""
+    text = words[0]
+    numbers = zip(*(numbers for numbers, _ in group), strict=True)
+    for values, following in zip(numbers, words[1:], strict=True):
+        low, high = min(values, key=float), max(values, key=float)
+        text += (low if low == high else f"{low} to {high}") + following
+    return text
 
 
 def failed_repetitions(study: Study) -> list[tuple[str, str]]:
