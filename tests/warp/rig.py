@@ -14,8 +14,8 @@ from framework.geometry import mean_neighbour_distance
 from framework.initialize import Stereo
 from framework.plugin import StepContext
 from framework.scenes import Embedded
+from framework.scenes.embedded.build import build_world, camera_tiles
 from framework.scenes.embedded.trace import trace_rows
-from framework.scenes.embedded.world import build_world
 from framework.types import Camera, DepthMap, Gaussians, Render, Scene, View
 from framework.warp.zbuffer import prepare
 from tests.built import load_scene
@@ -43,7 +43,8 @@ def truth(camera: Camera) -> torch.Tensor:
     pose = np.column_stack([camera.viewmat[:3, :3].numpy().T, camera.center.numpy()])
     image = np.zeros((height, width, 3), np.uint8)
     depth = np.zeros((height, width), np.float32)
-    run_blocks(trace_rows, *_world(), pose, focal, SAMPLES, image, depth)
+    world, tiles = _world(), camera_tiles(pose, focal, width, height)
+    run_blocks(trace_rows, *world, tiles.members, tiles.size, pose, focal, SAMPLES, image, depth)
     return torch.from_numpy(image).permute(2, 0, 1).float() / 255
 
 

@@ -24,19 +24,38 @@ MIRROR = 22
 GLOW = 23
 TEXTURE = 24  # offset in `World.texels`, height, width; offset -1 = plain
 MEAN = 27  # r g b, linear mean of the texture
-BALL = 30  # squared radius of a ball around the solid
-CASTS = 31  # 1 if it shades others, else 0
+COLUMNS = 30
+
+# columns of `World.lights`
+TOWARDS = 0  # unit vector to the light
+ACROSS = 3  # two axes across its rays
+GRID = 9  # origin along both axes, size of a cell
+LIGHT_COLUMNS = 12
 
 
 class World(NamedTuple):
-    """P solids and L light directions.
+    """P solids and L light directions over G x G light cells.
 
     Attributes:
-        solids: [P, 32] float64.
+        solids: [P, COLUMNS] float64.
         texels: [*] uint8, all textures one after another, row-major RGB.
-        lights: [L, 3] float64, unit vectors to the light.
+        lights: [L, LIGHT_COLUMNS] float64.
+        casters: [L, G, G, P + 1] int16, the solids that may shade what lies in a cell, ended by -1.
     """
 
     solids: NDArray[np.float64]
     texels: NDArray[np.uint8]
     lights: NDArray[np.float64]
+    casters: NDArray[np.int16]
+
+
+class Tiles(NamedTuple):
+    """The solids a camera may meet first in each tile of `size` x `size` pixels.
+
+    Attributes:
+        members: [T + 1, P + 1] int16, row-major tiles, each list ended by -1; the last one lists
+            all.
+    """
+
+    size: int
+    members: NDArray[np.int16]

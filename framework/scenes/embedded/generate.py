@@ -48,8 +48,8 @@ def _positions(options: EmbeddedOptions) -> tuple[list[Vector], list[Vector]]:
 def _render(options: EmbeddedOptions) -> Pictures:
     """All views, training first."""
     from framework.compute.parallel import run_blocks
+    from framework.scenes.embedded.build import build_world, camera_tiles
     from framework.scenes.embedded.trace import trace_rows
-    from framework.scenes.embedded.world import build_world
 
     width, height, samples = options.width, options.height, options.supersampling
     focal = rig.FOCAL_WIDTHS * width
@@ -59,7 +59,10 @@ def _render(options: EmbeddedOptions) -> Pictures:
     depths = np.zeros(images.shape[:3], dtype=np.float32)
     for position, image, depth in zip(train + test, images, depths, strict=True):
         pose = rig.pose(position, options.spread)
-        run_blocks(trace_rows, *world, pose, focal, samples, image, depth)
+        tiles = camera_tiles(pose, focal, width, height)
+        run_blocks(
+            trace_rows, *world, tiles.members, tiles.size, pose, focal, samples, image, depth
+        )
     return Pictures(images, depths)
 
 

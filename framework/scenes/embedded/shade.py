@@ -10,12 +10,28 @@ import math
 import numpy as np
 from numba import njit
 
-from framework.scenes.embedded.arrays import CASTS, CONTRAST, GLOW, HIGHLIGHT, MEAN, TEXTURE, TINT
-from framework.scenes.embedded.solids import INNER, dot, hit, surface
+from framework.scenes.embedded.arrays import (
+    ACROSS,
+    CONTRAST,
+    GLOW,
+    GRID,
+    HIGHLIGHT,
+    MEAN,
+    TEXTURE,
+    TINT,
+    TOWARDS,
+)
+from framework.scenes.embedded.solids import INNER, hit, surface
 
 KEY = (1.02, 0.96, 0.86)  # radiance of the key light, warm
 FILL = (0.34, 0.37, 0.42)  # of the ambient light, cool
 LIFT = 1e-4  # secondary rays start this far off the surface
+
+
+@njit(**INNER)
+def dot(a, b):
+    """Inner product of two triples."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(**INNER)
@@ -60,13 +76,24 @@ def _albedo(solids, texels, p, u, v):
     return r, g, b
 
 
+@njit(**INNER)
+def _cell(lights, light, k, x):
+    """Index of the light cell of x along axis k across the rays."""
+    i = ACROSS + 3 * k
+    along = lights[light, i] * x[0] + lights[light, i + 1] * x[1] + lights[light, i + 2] * x[2]
+    return math.floor((along - lights[light, GRID + k]) / lights[light, GRID + 2])
+
+
 @njit(inline="always", **INNER)
-def _lit(solids, towards, x):
-    """False where a solid stands between the point and the light, in direction `towards`."""
-    for p in range(len(solids)):
-        if solids[p, CASTS] > 0.0 and hit(solids, p, x, towards) < np.inf:
-            return False
-    return True
+def _lit(solids, lights, casters, light, towards, x):
+    """False where a caster stands between the point and the light, in direction `towards`."""
+    a, b = _cell(lights, light, 0, x), _cell(lights, light, 1, x)
+    size, k, lit = casters.shape[1], 0, True
+    if 0 <= a < size and 0 <= b < size:
+        while lit and casters[light, a, b, k] >= 0:
+            lit = not hit(solids, np.int64(casters[light, a, b, k]), x, towards) < np.inf
+            k += 1
+    return lit
 
 
 @njit(**INNER)
@@ -92,15 +119,16 @@ def surroundings(d):
 
 
 @njit(inline="always", **INNER)
-def shade(solids, texels, towards, p, x, d):
+def shade(solids, texels, lights, casters, light, p, x, d):
     """Linear RGB that leaves solid `p` at point x against the unit direction d, without mirroring;
     the normal, turned towards the viewer; and x lifted off the surface along it."""
     n, u, v = surface(solids, p, x)
     if dot(n, d) > 0.0:
         n = (-n[0], -n[1], -n[2])
     start = (x[0] + LIFT * n[0], x[1] + LIFT * n[1], x[2] + LIFT * n[2])
+    towards = (lights[light, TOWARDS], lights[light, TOWARDS + 1], lights[light, TOWARDS + 2])
     direct, highlight = max(0.0, dot(n, towards)), 0.0
-    if direct > 0.0 and not _lit(solids, towards, start):
+    if direct > 0.0 and not _lit(solids, lights, casters, light, towards, start):
         direct = 0.0
     if direct > 0.0 and solids[p, HIGHLIGHT] > 0.0:
         highlight = solids[p, HIGHLIGHT] * _lobe(n, towards, d)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from framework.scenes.embedded.arrays import AXES, BALL, BOX, CENTER, CYLINDER, HALF, REPEAT, SHAPE
+from framework.scenes.embedded.arrays import AXES, BOX, CENTER, CYLINDER, HALF, REPEAT, SHAPE
 
 # Not cached on disk: numba would not notice a change in one of the three kernel files, and what
 # the kernels make is itself cached.
@@ -99,24 +99,8 @@ def _half(solids, p):
 
 
 @njit(**INNER)
-def dot(a, b):
-    """Inner product of two triples."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(**INNER)
-def _passes(solids, p, o, d):
-    """Whether the ray misses the ball around solid `p`, which is quick to tell."""
-    x, y, z = solids[p, CENTER] - o[0], solids[p, CENTER + 1] - o[1], solids[p, CENTER + 2] - o[2]
-    along = x * d[0] + y * d[1] + z * d[2]
-    return (x * x + y * y + z * z - solids[p, BALL]) * dot(d, d) > along * along
-
-
-@njit(**INNER)
 def hit(solids, p, o, d):
     """t of the nearest hit of the ray (o, d) with solid `p`, inf if it misses."""
-    if _passes(solids, p, o, d):
-        return np.inf
     h = _half(solids, p)
     local_o, local_d = _local_point(solids, p, o), _local(solids, p, d[0], d[1], d[2])
     shape = solids[p, SHAPE]

@@ -9,18 +9,20 @@ import numpy as np
 from numba import njit
 
 from framework.scenes.embedded.arrays import MIRROR
-from framework.scenes.embedded.shade import shade, surroundings
-from framework.scenes.embedded.solids import INNER, STRICT, dot, hit
+from framework.scenes.embedded.shade import dot, shade, surroundings
+from framework.scenes.embedded.solids import INNER, STRICT, hit
 
 
-@njit(**INNER)
-def _first(solids, o, d):
-    """The solid that the ray (o, d) meets first and its t; (-1, inf) if none."""
-    best, nearest = np.inf, -1
-    for p in range(len(solids)):
+@njit(inline="always", **INNER)
+def _first(solids, members, tile, o, d):
+    """The solid of a tile's list that the ray (o, d) meets first and its t; (-1, inf) if none."""
+    best, nearest, k = np.inf, np.int64(-1), 0
+    while members[tile, k] >= 0:
+        p = np.int64(members[tile, k])
         t = hit(solids, p, o, d)
         if t < best:
             best, nearest = t, p
+        k += 1
     return nearest, best
 
 
@@ -33,7 +35,7 @@ def _reflectance(mirror, n, d):
 
 
 @njit(inline="always", **INNER)
-def _radiance(solids, texels, towards, o, d, p, t):
+def _radiance(solids, texels, lights, casters, members, light, o, d, p, t):
     """Linear RGB along the ray (o, d), which meets solid `p` (-1 = none) at t."""
     length = math.sqrt(dot(d, d))
     d, t = (d[0] / length, d[1] / length, d[2] / length), t * length
@@ -43,7 +45,7 @@ def _radiance(solids, texels, towards, o, d, p, t):
             c, mirror, n = surroundings(d), 0.0, d
         else:
             x = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
-            c, n, o = shade(solids, texels, towards, p, x, d)
+            c, n, o = shade(solids, texels, lights, casters, light, p, x, d)
             mirror = _reflectance(solids[p, MIRROR], n, d)
         kept = share * (1.0 - mirror) if share == 1.0 else share
         red, green, blue = red + kept * c[0], green + kept * c[1], blue + kept * c[2]
@@ -52,7 +54,7 @@ def _radiance(solids, texels, towards, o, d, p, t):
             break
         turn = 2.0 * dot(n, d)
         d = (d[0] - turn * n[0], d[1] - turn * n[1], d[2] - turn * n[2])
-        p, t = _first(solids, o, d)
+        p, t = _first(solids, members, members.shape[0] - 1, o, d)
     return red, green, blue
 
 
@@ -73,34 +75,49 @@ def _stored(linear):
 
 
 @njit(**STRICT)
-def trace_rows(block, n_blocks, solids, texels, lights, pose, focal, samples, image, depth):
+def trace_rows(
+    block,
+    n_blocks,
+    solids,
+    texels,
+    lights,
+    casters,
+    members,
+    tile,
+    pose,
+    focal,
+    samples,
+    image,
+    depth,
+):
     """Every n_blocks-th row of a view.
 
     Args:
+        tile: pixels.
         pose: [3, 4] float64 camera-to-world.
         focal: pixels. samples x samples rays per pixel.
         image: [H, W, 3] uint8 and depth: [H, W] float32 are written; as a ray's direction has
             camera z = 1, its t is the z-depth.
     """
     height, width = depth.shape
-    n_samples = samples * samples
+    n_tiles, n_samples = (width + tile - 1) // tile, samples * samples
     o = (pose[0, 3], pose[1, 3], pose[2, 3])
     for row in range(block, height, n_blocks):
         for column in range(width):
+            member = (row // tile) * n_tiles + column // tile
             red, green, blue = 0.0, 0.0, 0.0
             for k in range(n_samples + 1):
                 centre = k == n_samples
                 x = 0.5 if centre else (k % samples + 0.5) / samples
                 y = 0.5 if centre else (k // samples + 0.5) / samples
                 d = _direction(pose, focal, width, height, column + x, row + y)
-                p, t = _first(solids, o, d)
+                p, t = _first(solids, members, member, o, d)
                 if centre:
                     depth[row, column] = t if p >= 0 else 0.0
                 else:
                     # neighbouring subsamples get light directions far from each other
-                    light = lights[(7 * k) % len(lights)]
-                    towards = (light[0], light[1], light[2])
-                    r, g, b = _radiance(solids, texels, towards, o, d, p, t)
+                    light = (7 * k) % lights.shape[0]
+                    r, g, b = _radiance(solids, texels, lights, casters, members, light, o, d, p, t)
                     red, green, blue = red + r, green + g, blue + b
             image[row, column, 0] = _stored(red / n_samples)
             image[row, column, 1] = _stored(green / n_samples)

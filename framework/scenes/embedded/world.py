@@ -6,16 +6,9 @@ origin). Every solid has a centre, a frame, half sizes and a material. Nothing i
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
+from framework.scenes.embedded.arrays import BOX, CYLINDER, ELLIPSOID
+from framework.scenes.embedded.vectors import Frame, Vector, along, looking
 
-from framework.scenes.embedded import textures
-from framework.scenes.embedded.arrays import BOX, CYLINDER, ELLIPSOID, World
-from framework.scenes.embedded.vectors import Frame, Vector, along, cross, dot, looking, unit
-
-LIGHT_FROM = (-0.62, -0.95, -0.85)  # towards the window behind the viewers' left shoulder
-LIGHT_RADIUS = 0.12  # of the square of light directions, about its middle
-AROUND = 1.001  # a little more than the exact squared radius, for rounding
 UPRIGHT: Frame = looking((0.0, 0.0, 1.0))
 
 
@@ -187,44 +180,3 @@ def solids() -> list[Solid]:
         *_plant(),
         *_hanging(),
     ]
-
-
-def _tuned(material: Material, texture: float, gloss: float) -> Material:
-    return replace(
-        material,
-        contrast=material.contrast * texture,
-        highlight=material.highlight * gloss,
-        mirror=min(1.0, material.mirror * gloss),
-    )
-
-
-def _row(solid: Solid, m: Material, shapes: NDArray, means: NDArray) -> list[float]:
-    """One row of `World.solids`, in the order of the columns in `arrays.py`."""
-    frame = [c for axis in solid.frame for c in axis]
-    look = [*m.tint, m.repeat, m.contrast, m.highlight, m.mirror, m.glow]
-    index = textures.NAMES.index(m.texture) if m.texture else -1
-    texture = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0] if index < 0 else [*shapes[index], *means[index]]
-    ball = AROUND * dot(solid.half, solid.half)
-    return [*solid.center, *frame, *solid.half, solid.shape, *look, *texture, ball, solid.casts]
-
-
-def _lights(n: int) -> NDArray[np.float64]:
-    """[n n, 3] directions towards the light."""
-    main = unit(LIGHT_FROM)
-    a = unit(cross(main, (0.0, 1.0, 0.0)))
-    b = cross(main, a)
-    directions = []
-    for k in range(n * n):
-        s = LIGHT_RADIUS * ((2 * (k % n) + 1) / n - 1.0)
-        t = LIGHT_RADIUS * ((2 * (k // n) + 1) / n - 1.0)
-        x, y, z = (main[i] + s * a[i] + t * b[i] for i in range(3))
-        directions.append(unit((x, y, z)))
-    return np.array(directions)
-
-
-def build_world(texture: float, gloss: float, samples: int) -> World:
-    """The scene; `texture` scales all texture contrasts, `gloss` all highlights and mirrors. The
-    light has one direction for each of a pixel's samples x samples rays."""
-    texels, shapes, means = textures.pack()
-    rows = [_row(s, _tuned(s.material, texture, gloss), shapes, means) for s in solids()]
-    return World(np.array(rows, dtype=np.float64), texels, _lights(samples))
