@@ -5,7 +5,7 @@
     python benchmarks/results.py tables [--check]
 
 `run` trains what `benchmarks/canonical.yaml` lists, from one commit without local changes, two runs
-at a time. It can be repeated: finished runs are kept. `keep` copies finished studies to
+at a time. It can be repeated: finished runs are kept. `keep` copies what was run to
 `reports/committed`; `tables` writes the tables of the pages from there.
 """
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -30,8 +31,8 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # for the packages of this checkout
 REPORTS, COMMITTED = ROOT / "reports", ROOT / "reports" / "committed"
 PREFIX = "results_"  # of a study's folder while its runs are there
-KEPT = ("report.md", "runs.jsonl")
-PICTURES = 5  # of a committed study at most
+PAGE, ARCHIVE = "report.md", "runs.jsonl"
+FOREST, PICTURES = "differences", 5  # the first picture of a committed study, and how many at most
 OPTIONS = (
     "hydra/launcher=joblib",
     "hydra.launcher.n_jobs=2",
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str]) -> int:
     run = commands.add_parser("run", help="train the studies")
     run.add_argument("data", type=Path, help="folder of the scenes")
     run.add_argument("--estimate", action="store_true", help="only estimate time and disk space")
-    keep = commands.add_parser("keep", help="copy finished studies to reports/committed")
+    keep = commands.add_parser("keep", help="copy studies that were run to reports/committed")
     for part in (run, keep):
         part.add_argument("--study", action="append", help="by default all")
     tables = commands.add_parser("tables", help="write the tables of the pages")
@@ -98,33 +99,46 @@ def commands_of(
     entries = study["options"] if isinstance(study["options"], list) else [study["options"]]
     for scene in study.get("scenes", canon["scenes"]):
         size = "" if scene == "embedded" else f" scene.downscale={study.get('downscale', 2)}"
-        place = canon["scenes"][scene].format(data=data) + size
-        for entry in entries:
+        place = canon["scenes"][scene] + size
+        for entry in entries:  # whose options replace those of the scene
             chosen = dict(word.split("=", 1) for word in f"{place} {entry}".split())
-            words = [f"{key}={value}" for key, value in chosen.items()]
-            yield [w.format(methods=canon["methods"]) for w in words] + [f"study={PREFIX}{name}"]
+            words = [f"{key}={value}" for key, value in {**chosen, "study": PREFIX + name}.items()]
+            yield [word.format(data=data, methods=canon["methods"]) for word in words]
 
 
 def keep_studies(studies: Mapping[str, Any]) -> int:
-    """Copy reports and records of finished studies to `reports/committed`."""
+    """Copy reports and records of the studies that were run to `reports/committed`."""
     for name in studies:
         source, target = REPORTS / (PREFIX + name), COMMITTED / name
-        if not (source / "runs.jsonl").is_file():
-            print(f"{name}: not finished; python benchmarks/results.py run DATA --study {name}")
+        if not (source / ARCHIVE).is_file():
+            print(f"{name}: no runs; python benchmarks/results.py run DATA --study {name}")
             continue
         command = ["report", str(source), "--title", name, "--without-photos", "--out", str(source)]
         subprocess.run([sys.executable, "run.py", *command], cwd=ROOT, check=True)
         shutil.rmtree(target, ignore_errors=True)
         target.mkdir(parents=True)
-        for file in (*KEPT, *sorted(path.name for path in source.glob("*.png"))[:PICTURES]):
-            shutil.copy(source / file, target)
+        pictures = sorted(source.glob("*.png"), key=lambda path: (path.stem != FOREST, path))
+        for file in (source / ARCHIVE, *pictures[:PICTURES]):
+            shutil.copy(file, target)
+        page = (source / PAGE).read_text("utf-8")
+        (target / PAGE).write_text(without_absent(page, target), "utf-8")
         print(f"{name}: {summary(target)}")
     return 0
 
 
+def without_absent(page: str, folder: Path) -> str:
+    """The report without pictures and links to files that are not in the folder."""
+
+    def kept(match: re.Match[str]) -> str:
+        return match[0] if (folder / match[1]).is_file() else ""
+
+    page = re.sub(r"^!\[[^\n]*\]\(([^)]+)\)\n\n", kept, page, flags=re.M)
+    return re.sub(r" \[(?:SVG|CSV)\]\(([^)]+)\)", kept, page)
+
+
 def summary(study: Path) -> str:
     """Runs, CPU hours, commits and processors of a study."""
-    lines = (study / "runs.jsonl").read_text("utf-8").splitlines()
+    lines = (study / ARCHIVE).read_text("utf-8").splitlines()
     records = [json.loads(line)["record"] for line in lines]
     hours = sum(stage["cpu_s"] for record in records for stage in record["timings"]) / 3600
     commits = {record["provenance"]["git"]["sha"] for record in records}

@@ -68,7 +68,7 @@ POSE_CHECK = "pose_check"  # in the provenance: shares and ratio, None where it 
 LPIPS = "lpips"  # in the provenance: the network that LPIPS was measured with, None for none
 LEARNED = "learned_weights"  # in the provenance: of the depth, "" if no network was used
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
-RECORD, PLY = "record.json", "point_cloud.ply"
+RECORD, FAILED, PLY = "record.json", "failed.json", "point_cloud.ply"
 DIVERGED = "diverged.safetensors"
 
 
@@ -425,9 +425,6 @@ def record_of(content: dict[str, Any]) -> RunRecord:
             },
         }
     )
-
-
-FAILED = "failed.json"
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from framework.types import View
 
 ERROR_SCALE = 0.25
+PHOTOS, QUALITY = "photos", 90  # folder of the training photos, as JPEG
 KINDS = ("", "_truth", "_error", "_mask")  # end the names of a view's files
 STEM_LENGTH = 180  # characters of a view's name in those of its files, which take 200
 METRICS_CSV, HISTORY_CSV, RENDERS = "metrics.csv", "history.csv", "renders"
@@ -224,10 +225,6 @@ def _png(pixels: np.ndarray) -> bytes:
     # level 1 takes a third of the time of the default 6, for 4 % more bytes
     Image.fromarray(pixels).save(buffer, format="PNG", compress_level=1)
     return buffer.getvalue()
-
-
-PHOTOS = "photos"
-QUALITY = 90
 
 
 def photo_files(names: Sequence[str]) -> list[str]:

@@ -21,6 +21,10 @@ from framework.view.pack import Packed, packed
 from framework.view.runs import ViewedRun
 
 ASSETS = Path(__file__).parent / "assets"
+BYTES = 4_000_000  # of all photos of a page, about, before base64
+LONGEST, SHORTEST = 1280, 320  # pixels of a copy's longer side: at most; however many there are
+QUALITY, EFFORT = 82, 4
+BYTES_PER_PIXEL = 0.2  # of a WebP copy of this quality, rather too much
 SCRIPTS = ("math", "model", "shaders", "renderer", "camera", "input", "page")
 SETTINGS = ("capacity", "depth", "init")  # named if two runs differ in them
 
@@ -136,12 +140,6 @@ def _camera(
 
 def _asset(name: str) -> str:
     return (ASSETS / name).read_text(encoding="utf-8")
-
-
-BYTES = 4_000_000  # of all photos of a page, about, before base64
-LONGEST, SHORTEST = 1280, 320  # pixels of a copy's longer side: at most; however many there are
-QUALITY, EFFORT = 82, 4
-BYTES_PER_PIXEL = 0.2  # of a WebP copy of this quality, rather too much
 
 
 def copies(files: Sequence[Path]) -> list[str]:

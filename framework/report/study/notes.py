@@ -48,7 +48,10 @@ def warnings(study: Study) -> dict[str, list[ReportRun]]:
         for text in run.record.warnings:
             parts = NUMBER.split(outside(text))
             gave[tuple(parts[::2])].append((parts[1::2], run))
-    return {_ranged(words, group): [run for _, run in group] for words, group in gave.items()}
+    return {
+        _ranged(words, group): list({id(run): run for _, run in group}.values())
+        for words, group in gave.items()
+    }
 
 
 def _ranged(words: Sequence[str], group: Sequence[tuple[list[str], ReportRun]]) -> str:
