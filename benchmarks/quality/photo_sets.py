@@ -57,7 +57,7 @@ def known(folder: Path) -> Cameras:
 
 def draws(names: list[str], scene: str, size: int) -> list[list[str]]:
     """Different random sets of photos, the same in every run."""
-    random = np.random.default_rng([size, *scene.encode()])
+    random = np.random.default_rng([size, len(scene), sum(scene.encode())])
     sets: list[list[str]] = []
     while len(sets) < SETS:
         chosen = sorted(random.choice(names, size, replace=False).tolist())
