@@ -78,6 +78,8 @@ def searched(folder: Path, names: list[str], reference: Cameras, matching: str) 
         try:
             run_child(find_source(str(photos), side=1200, frames=40, matching=matching), found)
         except UserError as error:
+            if "its process ended" in str(error):  # a defect, not photos that do not fit
+                raise
             return {"placed": 0, "cpu_s": children_s() - before, "message": str(error)[:200]}
         result = read_result(found)
         wrong = errors(cameras(found / "sparse" / "0"), reference)
