@@ -26,7 +26,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from framework.command.complaints import USER_ERRORS, composing
 from framework.command.config.check import check
 from framework.command.config.naming import plain, study_dir
-from framework.command.hydra_inside import jobs_of
+from framework.command.hydra_inside import jobs_of, skip_second_check
 from framework.command.launchers.supported import watch_workers
 from framework.command.overrides import check_method, parsed
 from framework.command.program import program
@@ -155,6 +155,7 @@ class StudyCallback(Callback):
         try:
             jobs = sweep_jobs(config)
             studies = check_jobs(config, jobs)
+            skip_second_check()
             for folder in studies:
                 check_links(folder)
             if config.estimate:
