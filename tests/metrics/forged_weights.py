@@ -21,7 +21,7 @@ SETUP = "import pathlib\npathlib.Path({canary!r}).mkdir()\n"
 
 
 def states() -> dict[str, dict[str, Tensor]]:
-    """Weights in the authors' layout, of four channels, by backbone."""
+    """Weights in the authors' layout, by backbone."""
     return {kind: state_dict(kind, features(kind)) for kind in BACKBONES}
 
 
