@@ -79,7 +79,7 @@ class DepthProvider:
         return ""
 
     def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
-        """One map per training view, in their order, corrupted as the options say."""
+        """Estimate one map per training view, in order, with the corruption of the options."""
         maps = self.measure(training)
         if not self.corruptions() or self.strength == 0:
             return maps
@@ -88,12 +88,11 @@ class DepthProvider:
         return corrupt(maps, self.corruptions(), self.strength, self.corruption_seed)
 
     def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
-        """One map per training view, in their order, as well as the provider can."""
+        """Estimate one map per training view, in order, without corruption."""
         raise NotImplementedError
 
     def fingerprint(self, training: TrainingSet) -> str:
-        """What beside the options and the training set determines the maps: SHA-256 hex of the
-        files that `measure` reads, "" if it reads none."""
+        """Return the SHA-256 (hex) of the files that `measure` reads; "" if it reads none."""
         return ""
 
 

@@ -89,7 +89,7 @@ def built(
     photos: bool = True,
     rival: str = "",
 ) -> Report:
-    """As `build_report`, with the study and the verdict."""
+    """Write the report as `build_report` does; also return the study and the verdict."""
     study = collect(study_dirs, out_dir, rival)
     if out_dir is None:
         _keep_fuller_report(study)

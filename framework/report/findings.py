@@ -75,7 +75,7 @@ class Idle:
 
 @dataclass(frozen=True)
 class Findings:
-    """All that a report says about a study, beside its tables."""
+    """The contents of a report apart from its tables."""
 
     study: Study
     outcomes: Outcomes
@@ -217,7 +217,7 @@ class Findings:
 
     @property
     def papers(self) -> list[str]:
-        """What to cite for the plugins and recipes that ran."""
+        """Return the citations of the plugins and recipes that ran."""
         runs = self.study.runs
         chosen = {choice for run in runs for choice in run.record.methods.items()}
         recipes = {run.method.recipe.removesuffix("_sweep") for run in runs}

@@ -322,7 +322,7 @@ def _worst_cells(runs: list[ReportRun]) -> Row:
 
 
 def dose_rows(study: Study) -> list[Row]:
-    """What each method did during training, from the trainer's counts; none without counts."""
+    """Return the dose of each method from the trainer's counts; no rows without counts."""
     rows: list[Row] = []
     for scene in study.scenes:
         for method in study.methods:
@@ -390,7 +390,7 @@ def folder_target(study: Study, run: ReportRun) -> str:
 
 
 def run_link(study: Study, run: ReportRun, text: str, names: Sequence[str]) -> Link | None:
-    """To the first of these files that is in the run's folder; None if the report links no runs."""
+    """Link to the first of these files in the run's folder; None if the report has no links."""
     there = [name for name in names if is_file(run.run.run_dir / name)] if study.linked else []
     return Link(text, folder_target(study, run) + there[0]) if there else None
 

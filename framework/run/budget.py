@@ -35,10 +35,10 @@ Trial = Callable[[TrainerOptions], float]
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for `seconds`.
+    """The training that fits into `seconds`.
 
     Attributes:
-        step_s: of a step before the second camera, as measured.
+        step_s: measured seconds of a step without the second camera.
     """
 
     identity: str
@@ -63,7 +63,7 @@ class Choice:
 
     @property
     def record(self) -> dict[str, Any]:
-        """For the record."""
+        """Return the values for the run's record."""
         return {
             "seconds": self.seconds,
             "step_s": self.step_s,

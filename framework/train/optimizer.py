@@ -18,7 +18,7 @@ Names = tuple[str, ...]
 
 @dataclass(frozen=True)
 class AdamState:
-    """All that Adam remembers.
+    """State of Adam.
 
     Attributes:
         first, second: the moments, shaped like the parameters, float32.
@@ -79,8 +79,8 @@ class Optimizer(ABC):
         getattr(self._second, name).zero_()
 
     def state(self) -> AdamState:
-        """What a checkpoint holds, on the CPU; there, the optimizer's own tensors, which its next
-        step changes."""
+        """Return the state on the CPU. It shares the optimizer's tensors there, which the next step
+        changes."""
         return AdamState(self._first.to("cpu"), self._second.to("cpu"), tuple(self._steps.values()))
 
     def load(self, state: AdamState) -> None:

@@ -89,7 +89,7 @@ class Submission:
         return sum(not outcome.busy for outcome in self.ended().values()) == len(self.runs)
 
     def job_states(self) -> Counter[str]:
-        """How many jobs are in each of submitit's states."""
+        """Count the jobs in each of submitit's states."""
         return Counter(self._state(job) for job in self._jobs())
 
     def cancel(self) -> None:

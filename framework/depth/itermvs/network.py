@@ -37,7 +37,7 @@ class Posed:
     """Features of a photo with its camera.
 
     Attributes:
-        features: of `IterMvs.features`.
+        features: result of `IterMvs.features`.
         K: [3, 3] float64, intrinsics in pixels of the photo.
         viewmat: [4, 4] float64, world to camera.
     """

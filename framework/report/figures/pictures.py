@@ -23,8 +23,9 @@ BESIDE = COLUMNS - 1  # methods in a row, after the ground truth
 
 
 def draw_closeup(study: Study, scene: str) -> Picture | None:
-    """Ground truth, render, crop and error map of one test view for every method; None without a
-    view that all have."""
+    """Draw ground truth, render, crop and error map of one test view for every method.
+
+    Returns None if the methods have no test view in common."""
     shown = choose_views(study, scene)
     if not shown.views:
         return None
