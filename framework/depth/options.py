@@ -32,12 +32,12 @@ class DepthProvider:
     """Base of all providers, with the options they share.
 
     Attributes:
-        corruption: none, or noise, bias, holes, blur, several joined by + in the order they act.
+        corruption: none, or noise, bias, holes or blur; join several by + in their order.
             For instance `noise+holes`.
-        strength: of all corruptions, in [0, 1]; 0 changes nothing. 1 is as bad as
-            `framework.depth.corruption` says.
-        corruption_seed: of their draws. The run's seed does not move them: all seeds of a study
-            meet the same spoiled depth.
+        strength: strength of all corruptions in [0, 1]; 0 has no effect. The formulas are in
+            `framework.depth.corruption`.
+        corruption_seed: seed of the corruptions. It does not follow the run's seed, so all seeds of
+            a study have the same corrupted depth.
     """
 
     corruption: str = NONE

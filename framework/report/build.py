@@ -216,8 +216,10 @@ def _forest(findings: Findings) -> Picture | None:
 
 def _cost(study: Study, scene: str) -> tuple[str, list[Picture]]:
     """A scene with the charts of its costs."""
-    alt = f"PSNR against cost of {scene}"
-    pictures = [chart_picture(study.out_dir, charts, alt) for charts in cost_charts(study, scene)]
+    pictures = []
+    for charts in cost_charts(study, scene):
+        costs = " and ".join(chart.x_label for chart in charts)
+        pictures.append(chart_picture(study.out_dir, charts, f"PSNR against {costs} on {scene}"))
     return scene, pictures
 
 

@@ -63,7 +63,7 @@ class Contest:
 
 @dataclass(frozen=True)
 class Idle:
-    """A method, or a `part` of it, that acted on less than half of its occasions."""
+    """A method, or a `part` of it, that acted on less than half of its opportunities."""
 
     method: Method
     scene: str
