@@ -1,8 +1,8 @@
 """`trainer.seconds`: as many steps as fit into a time, chosen before the training starts.
 
 A short training of the same kind, with growth and pseudo views in proportion, measures the time of
-a step. The choice is kept in the run's folder for an interrupted run, and in the record: the same
-steps give the same bits on any machine, the same seconds do not.
+a step. The run's folder and its record keep the choice, because the same steps give the same bits
+on any machine, and the same seconds do not.
 """
 
 from __future__ import annotations

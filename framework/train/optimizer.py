@@ -42,9 +42,9 @@ class Optimizer(ABC):
 
     @abstractmethod
     def step(self, params: Gaussians, grads: Grads, rates: Rates, decay: float = 1.0) -> Names:
-        """Update `params` in place, then multiply the activated opacities by `decay` in (0, 1];
-        returns the names of tensors with a value or a second moment that is not finite now,
-        which a gradient that is not finite always causes.
+        """Update `params` in place, then multiply the activated opacities by `decay` in (0, 1].
+        Returns the names of tensors with non-finite values or second moments, which every
+        non-finite gradient causes.
 
         Args:
             grads: by tensor name, shaped like the parameters; a tensor without one (None or

@@ -50,9 +50,9 @@ class Submission:
 
     Attributes:
         cluster: "local" or "slurm".
-        runs: in the order of the command.
-        jobs: the ids of the workers.
-        detached: whether it outlives its command, so that a worker builds the reports.
+        runs: the runs in the order of the command.
+        jobs: the job ids of the workers.
+        detached: whether the command does not wait, so that a worker builds the reports.
     """
 
     folder: Path
