@@ -146,9 +146,9 @@ class Trained:
 def trained(scene: list[str], overrides: list[str], out: Path) -> Trained:
     """One command from photos to Gaussians."""
     line = [sys.executable, "run.py", *scene, *overrides, f"hydra.run.dir={out}"]
-    before, started = _children_s(), time.monotonic()
+    before, started = children_s(), time.monotonic()
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
-    cpu_s, wall_s = _children_s() - before, time.monotonic() - started
+    cpu_s, wall_s = children_s() - before, time.monotonic() - started
     if done.returncode:
         return Trained(done.stderr.strip().splitlines()[-1], {}, cpu_s, wall_s)
     record: dict[str, Any] = json.loads((out / "record.json").read_text())
@@ -156,7 +156,7 @@ def trained(scene: list[str], overrides: list[str], out: Path) -> Trained:
     return Trained(f"{record['summary']['psnr']['mean']:.2f} dB", stages, cpu_s, wall_s)
 
 
-def _children_s() -> float:
+def children_s() -> float:
     """CPU seconds of all processes that this one has waited for, and those that they have."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime

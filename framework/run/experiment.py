@@ -174,7 +174,7 @@ class Experiment:
                 **self.rasterizer.facts(),
                 "threads": parallel.threads(),
                 "test_views": {"evaluated": len(scene.test), "of": n_test},
-                LEARNED: registry.part("depth", self.config["depth"]).learned_weights(),
+                LEARNED: _learned_weights(self.config),
                 LPIPS: None if self.network is None else self.network.name,
                 POSE_CHECK: None if check is None else check.figures(),
             },
@@ -366,3 +366,10 @@ def _timed(timings: dict[str, StageTime], stage: str) -> Iterator[None]:
     before, watch = timings.get(stage, StageTime(0.0, 0.0)), Stopwatch()
     yield
     timings[stage] = StageTime(before.wall_s + watch.wall_s, before.cpu_s + watch.cpu_s)
+
+
+def _learned_weights(config: Mapping[str, Any]) -> str:
+    """The weights of networks behind poses and depth; "" if there are none."""
+    poses = getattr(registry.part("scene", config["scene"]), "learned_weights", "")
+    depth = registry.part("depth", config["depth"]).learned_weights()
+    return "; ".join(filter(None, (poses, depth)))

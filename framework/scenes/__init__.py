@@ -24,6 +24,7 @@ __all__ = [
     "decoding",
     "images",
     "lens",
+    "photos",
     "published_split",
     "transforms_file",
     "untested",

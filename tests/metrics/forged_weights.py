@@ -4,6 +4,7 @@ import hashlib
 import io
 import pickle
 import tarfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ def pickled(kind: str, state: dict[str, Tensor]) -> bytes:
 
 def archive(folder: Path, monkeypatch: pytest.MonkeyPatch, files: dict[str, bytes]) -> Path:
     """A source archive of these weights files, whose hash the code then expects."""
-    path = folder / lpips_weights.ARCHIVE
+    path = folder / lpips_weights.SOURCE.name
     root = f"{lpips_weights.PACKAGE}-{lpips_weights.VERSION}"
     setup = SETUP.format(canary=str(folder / "canary")).encode()
     with tarfile.open(path, "w:gz") as packed:
@@ -55,7 +56,7 @@ def archive(folder: Path, monkeypatch: pytest.MonkeyPatch, files: dict[str, byte
             member.size = len(content)
             packed.addfile(member, io.BytesIO(content))
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    monkeypatch.setattr(lpips_weights, "SHA256", digest)
+    monkeypatch.setattr(lpips_weights, "SOURCE", replace(lpips_weights.SOURCE, sha256=digest))
     return path
 
 

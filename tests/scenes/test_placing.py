@@ -65,7 +65,7 @@ def test_photos_from_one_place_are_tried_once(
     built = Attempt(links=links(0.1, flat)), Try("x", 0, 0.0, 0.0, 0.0)
     monkeypatch.setattr(search, "attempt", lambda *_: built)
     message: Any = SimpleNamespace(label="", say=lambda _: None)
-    assert len(search._best(photos(None), tmp_path, 1, message)[1]) == n_tries
+    assert len(search._best(STEPS, photos(None), tmp_path, 1, message)[1]) == n_tries
 
 
 def test_lower_thresholds_where_photos_are_left_over(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,6 +18,8 @@ from framework.files.limits import PHOTO_PIXELS
 from framework.scenes.colmap import Colmap, list_colmap
 from framework.scenes.decoding import image_size
 from framework.scenes.layout import FolderScene, load_listed
+from framework.scenes.photos.networks import NAME as NETWORKS
+from framework.scenes.photos.options import LEARNED, SIFT
 from framework.scenes.splits import ALL
 
 if TYPE_CHECKING:
@@ -44,11 +46,18 @@ class Photos(FolderScene):
     downscale: int = 0  # by which they are then reduced; 0 = until the longer side is at most 800
     side: int = 1200  # pixels; larger photos are first reduced to this longer side
     frames: int = 40  # of a video: so many of its frames are taken, the sharpest ones
+    matching: str = SIFT  # sift; learned = by networks first, see `fishersplat fetch matching`
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_option(self, "scene", "side", 64 <= self.side <= 8192, "64 to 8192 pixels")
         check_option(self, "scene", "frames", 3 <= self.frames <= 1000, "3 to 1000")
+        self.expect_choice("matching", (SIFT, LEARNED))
+
+    @property
+    def learned_weights(self) -> str:
+        """The networks that match the photos; "" if none does."""
+        return NETWORKS if self.matching == LEARNED else ""
 
     def load(self) -> Scene:
         """Load the scene; the first time this takes from seconds to many minutes.
@@ -61,7 +70,7 @@ class Photos(FolderScene):
         from framework.scenes.photos.result import read_result
         from framework.scenes.photos.source import find_source
 
-        source = find_source(self.path, self.side, self.frames)
+        source = find_source(self.path, self.side, self.frames, self.matching)
         folder = poses_folder(source)
         result = read_result(folder)
         counts = (len(result.placed), len(result.photos))

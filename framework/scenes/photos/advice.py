@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from framework.scenes.formats import listed
+from framework.scenes.photos.options import LEARNED, LEARNED_STEP
 from framework.scenes.photos.result import Link, Overruled, Result
 
 FLAT = 100  # features; a photo with fewer has too little texture
@@ -52,6 +53,7 @@ def advice(result: Result) -> Iterator[str]:
         yield (
             f"{len(alone)} of {len(result.photos)} photos could not be placed: {listed(described)};"
             " take more between these, each a step from the last and with most of its view"
+            f"{_or_networks(result)}"
         )
     weak = [f"{name} ({n})" for name, n in result.placed.items() if n < WEAK]
     if weak:
@@ -89,6 +91,7 @@ def failure(photo: Path, result: Result) -> str:
         return (
             f"{start} photos with hardly anything in common (at most {best} matches between two);"
             " are they of one scene? take more, a small step between one and the next"
+            f"{_or_networks(result)}"
         )
     if shift < STILL:
         return (
@@ -104,7 +107,14 @@ def failure(photo: Path, result: Result) -> str:
         f"{start} too little overlap, or a camera that only turned ({len(strong)} pairs of photos"
         f" have {STRONG} matches or more, {best} at most, but no three of them fit together); take"
         " more, a step to the side between one and the next"
+        f"{_or_networks(result)}"
     )
+
+
+def _or_networks(result: Result) -> str:
+    """The end of a remedy where networks were not tried."""
+    tried = any(one.step == LEARNED_STEP.name for one in result.tries)
+    return "" if tried else f", or set scene.matching={LEARNED}"
 
 
 def _overruled(focal: Overruled) -> str:

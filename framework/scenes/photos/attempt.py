@@ -1,4 +1,4 @@
-"""One attempt at the poses: features, matches and placing, all by pycolmap.
+"""One attempt at the poses: features, matches and placing by pycolmap; see also `learned`.
 
 pycolmap gets its work in portions, so that progress can be shown. Photos and cameras are entered
 first and in order: their ids, and all results, then do not depend on the order of threads.
@@ -39,9 +39,16 @@ def attempt(
     database = work / "database.db"
     marks = [time.process_time()]
     _enter(photos, images, database)
-    _extract(step, photos, images, database, threads, messages)
-    marks.append(time.process_time())
-    _match(step, photos, database, threads, messages)
+    if step.learned:
+        from framework.scenes.photos import learned
+
+        found = learned.extract(photos, images, database, threads, messages)
+        marks.append(time.process_time())
+        learned.match(step, found, photos, database, threads, messages)
+    else:
+        _extract(step, photos, images, database, threads, messages)
+        marks.append(time.process_time())
+        _match(step, photos, database, threads, messages)
     marks.append(time.process_time())
     features, links = _read(database, photos)
     # from one place there is no model, or a wrong one

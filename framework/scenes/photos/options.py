@@ -3,8 +3,9 @@
 The first step uses COLMAP's usual features. If photos are left over, later steps use fainter
 features and a second, guided matching along the geometry of the first. The last step also uses
 descriptors that do not depend on the view's slant (affine shape, domain-size pooling), which is
-slow. Each step tries COLMAP's usual thresholds, and lower ones if photos are left over. A few
-photos with few features cannot reach the hundreds of matches that the usual thresholds require.
+slow. With `scene.matching=learned` a step with features and matches of networks comes first. Each
+step tries COLMAP's usual thresholds, and lower ones if photos are left over. A few photos with few
+features cannot reach the hundreds of matches that the usual thresholds require.
 """
 
 from dataclasses import dataclass
@@ -17,20 +18,28 @@ NEXT, MILESTONE = 10, 10
 
 @dataclass(frozen=True)
 class Step:
-    """peak_threshold: of SIFT's contrast. fewest: matches of a pair that count."""
+    """fewest: matches of a pair that count. peak_threshold: of SIFT's contrast."""
 
     name: str
-    peak_threshold: float
-    guided: bool
-    affine: bool
     fewest: int
+    peak_threshold: float = 0.002
+    guided: bool = False
+    affine: bool = False
+    learned: bool = False
 
 
 STEPS = (
-    Step("usual features", 0.02 / 3, guided=False, affine=False, fewest=15),
-    Step("fainter features", 0.002, guided=True, affine=False, fewest=10),
-    Step("fainter features at any slant", 0.002, guided=True, affine=True, fewest=10),
+    Step("usual features", 15, peak_threshold=0.02 / 3),
+    Step("fainter features", 10, guided=True),
+    Step("fainter features at any slant", 10, guided=True, affine=True),
 )
+LEARNED_STEP = Step("features of a network", 10, learned=True)
+SIFT, LEARNED = "sift", "learned"
+
+
+def steps(matching: str) -> tuple[Step, ...]:
+    """The steps for `scene.matching`."""
+    return (LEARNED_STEP, *STEPS) if matching == LEARNED else STEPS
 
 
 def pairs(n: int) -> list[tuple[int, int]]:

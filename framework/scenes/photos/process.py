@@ -26,6 +26,8 @@ from framework.compute.stopwatch import duration
 from framework.errors import UserError
 from framework.files.cache import cache_dir
 from framework.files.locks import Busy, locked
+from framework.scenes.photos.networks import require_networks
+from framework.scenes.photos.options import LEARNED
 from framework.scenes.photos.result import FILE
 from framework.scenes.photos.source import Source
 
@@ -64,6 +66,8 @@ def _is_complete(folder: Path) -> bool:
 def _search(source: Source, work: Path, folder: Path) -> None:
     """Search in `work` and rename it to `folder`."""
     shutil.rmtree(work, ignore_errors=True)  # of a killed process
+    if source.matching == LEARNED:
+        require_networks()
     try:
         work.mkdir()
         run_child(source, work)
@@ -92,6 +96,7 @@ def run_child(source: Source, folder: Path) -> None:
         "video": source.video,
         "side": source.side,
         "frames": source.frames,
+        "matching": source.matching,
         "copies": source.copies,
         "threads": threads(),
         "parent": os.getpid(),

@@ -23,7 +23,7 @@ from framework.compute.orphans import watch
 from framework.errors import UserError, mendable, os_line, require
 from framework.scenes.photos.advice import failure, shows_no_depth
 from framework.scenes.photos.attempt import Attempt, attempt
-from framework.scenes.photos.options import STEPS
+from framework.scenes.photos.options import Step, steps
 from framework.scenes.photos.prepare import Photo, prepare
 from framework.scenes.photos.process import Messages
 from framework.scenes.photos.result import Poses, Result, Try, write_result
@@ -63,7 +63,7 @@ def search(request: dict[str, Any], messages: Messages) -> None:
     """
     started, folder = time.monotonic(), Path(request["folder"])
     photos = _prepared(request, folder, messages)
-    best, tries = _best(photos, folder, request["threads"], messages)
+    best, tries = _best(steps(request["matching"]), photos, folder, request["threads"], messages)
     seconds = time.monotonic() - started
     result = Result(
         **{field.name: getattr(best, field.name) for field in fields(Poses)},
@@ -108,15 +108,15 @@ def _prepared(request: dict[str, Any], folder: Path, messages: Messages) -> list
 
 
 def _best(
-    photos: list[Photo], folder: Path, threads: int, messages: Messages
+    chosen: Sequence[Step], photos: list[Photo], folder: Path, threads: int, messages: Messages
 ) -> tuple[Attempt, list[Try]]:
     """The first attempt that places all photos, else the one that places most; and all tries."""
     best, tries, started = Attempt(), [], time.monotonic()
-    for k, step in enumerate(STEPS):
+    for k, step in enumerate(chosen):
         work = folder / f"try{k}"
         work.mkdir()
         so_far = f", {len(best.placed)} placed so far" if k else ""
-        messages.label = f"poses, try {k + 1} of {len(STEPS)} ({step.name}{so_far})"
+        messages.label = f"poses, try {k + 1} of {len(chosen)} ({step.name}{so_far})"
         latest, timing = attempt(step, photos, folder / "images", work, threads, messages)
         shutil.rmtree(work)
         tries.append(timing)
@@ -129,7 +129,7 @@ def _best(
         if k > 0 and in_groups == len(photos):  # the photos show different scenes
             break
         messages.say(
-            f"try {k + 1} of {len(STEPS)}, {step.name}: {len(latest.placed)} of {len(photos)}"
+            f"try {k + 1} of {len(chosen)}, {step.name}: {len(latest.placed)} of {len(photos)}"
             f" photos placed after {time.monotonic() - started:.0f} s"
         )
     return best, tries

@@ -23,6 +23,7 @@ from framework.scenes.formats import (
     unread_files,
     warn_left_out,
 )
+from framework.scenes.photos.options import SIFT
 
 log = logging.getLogger(__name__)
 
@@ -48,10 +49,11 @@ class Source:
     key: str
     side: int
     frames: int
+    matching: str = SIFT
     copies: dict[str, str] = field(default_factory=dict)
 
 
-def find_source(path: str, side: int, frames: int) -> Source:
+def find_source(path: str, side: int, frames: int, matching: str = SIFT) -> Source:
     """Find the photos or the video.
 
     Raises:
@@ -59,7 +61,7 @@ def find_source(path: str, side: int, frames: int) -> Source:
     """
     place = Path(path).expanduser()
     if place.is_file():
-        return _video(place, side, frames)
+        return _video(place, side, frames, matching)
     require(
         place.is_dir(),
         f"scene=photos: expected a folder of photos or a video at '{path}', found nothing; correct"
@@ -83,8 +85,9 @@ def find_source(path: str, side: int, frames: int) -> Source:
     distinct = tuple(first.values())
     _warn_left_out(folder)
     _check_count(place, len(files), len(distinct))
-    key = _key([side, *((file.name, hashes[file]) for file in distinct)])
-    return Source(place.resolve().name, folder, distinct, False, key, side, frames, copies)
+    key = _key(matching, [side, *((file.name, hashes[file]) for file in distinct)])
+    name = place.resolve().name
+    return Source(name, folder, distinct, False, key, side, frames, matching, copies)
 
 
 def _twins(files: Sequence[Path]) -> dict[str, str]:
@@ -94,14 +97,14 @@ def _twins(files: Sequence[Path]) -> dict[str, str]:
     return {f.name: jpegs[f.stem.lower()] for f in heic if f.stem.lower() in jpegs}
 
 
-def _video(file: Path, side: int, frames: int) -> Source:
+def _video(file: Path, side: int, frames: int, matching: str) -> Source:
     require(
         file.suffix.lower() in VIDEO,
         f"{file}: expected a folder of photos or a video ({', '.join(sorted(VIDEO))}), got another"
         " file; correct scene.path",
     )
-    key = _key([side, frames, _sha256(file, VIDEO_BYTES)])
-    return Source(file.resolve().stem, file.parent, (file,), True, key, side, frames)
+    key = _key(matching, [side, frames, _sha256(file, VIDEO_BYTES)])
+    return Source(file.resolve().stem, file.parent, (file,), True, key, side, frames, matching)
 
 
 def _photos(folder: Path) -> list[Path]:
@@ -157,5 +160,8 @@ def _sha256(file: Path, limit: int = PHOTO_BYTES) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _key(parts: Sequence[object]) -> str:
-    return hashlib.sha256(repr([VERSION, *parts]).encode("utf-8", "surrogatepass")).hexdigest()[:16]
+def _key(matching: str, parts: Sequence[object]) -> str:
+    learned = [] if matching == SIFT else [matching]
+    return hashlib.sha256(
+        repr([VERSION, *learned, *parts]).encode("utf-8", "surrogatepass")
+    ).hexdigest()[:16]
