@@ -19,8 +19,8 @@ NAME_LENGTH = 255  # of a scene or a choice: as of a folder
 GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
 FACTS = ("fishersplat", "python", "code", "cpu", "system", "bits", "gpu", "cuda", "gsplat")
 TRAINER = typing.get_type_hints(TrainerOptions)
-EACH = "each"  # stands for every key of a mapping
-Test = Callable[[Any], object]  # of a value: whether it is as a run writes it
+EACH = "each"  # the rule of every key of a mapping
+Test = Callable[[Any], object]  # whether a value is as a run writes it
 Rule = Test | Mapping[str, Any]  # or the rules of a mapping's fields
 
 

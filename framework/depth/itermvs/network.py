@@ -216,7 +216,7 @@ class IterMvs:
 
 @dataclass(frozen=True)
 class _InverseDepth:
-    """The range of inverse depth that [0, 1] stands for."""
+    """The range of inverse depth that [0, 1] represents."""
 
     near: float
     far: float
