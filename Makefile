@@ -1,4 +1,4 @@
-# make demo · make test · make system · make lint · make docs · make results; needs Python >= 3.11 and make, nothing else.
+# make demo · make test · make system · make versions · make lint · make docs · make results; needs Python >= 3.11 and make, nothing else.
 
 VENV ?= .venv
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
@@ -6,14 +6,22 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 STAMP := $(VENV)/.installed
 RUN := PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: demo test system lint docs results setup lock audit
+.PHONY: demo test system versions lint docs results setup lock audit
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
 	$(RUN) python run.py sweep=first
 
+SUITE := python -m pytest --numprocesses=logical --maxprocesses=4 --dist=worksteal
+
 test: $(STAMP)
-	$(RUN) python -m pytest --numprocesses=logical --maxprocesses=4 --dist=worksteal
+	$(RUN) $(SUITE)
+
+# the suite with the oldest and the newest supported versions of all dependencies
+versions:
+	for versions in lowest-direct highest; do \
+		$(PYTHON) -m venv .venv-$$versions && . .venv-$$versions/bin/activate && pip install --quiet uv && \
+		uv pip install --quiet --resolution $$versions -e '.[dev]' && $(SUITE) || exit 1; done
 
 # half an hour or more on two cores; kills processes, so nothing runs beside it
 system: $(STAMP)

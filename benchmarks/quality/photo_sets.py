@@ -57,7 +57,7 @@ def known(folder: Path) -> Cameras:
 
 def draws(names: list[str], scene: str, size: int) -> list[list[str]]:
     """Different random sets of photos, the same in every run."""
-    random = np.random.default_rng([size, *scene.encode()])
+    random = np.random.default_rng([size, len(scene), sum(scene.encode())])
     sets: list[list[str]] = []
     while len(sets) < SETS:
         chosen = sorted(random.choice(names, size, replace=False).tolist())
@@ -78,6 +78,8 @@ def searched(folder: Path, names: list[str], reference: Cameras, matching: str) 
         try:
             run_child(find_source(str(photos), side=1200, frames=40, matching=matching), found)
         except UserError as error:
+            if "its process ended" in str(error):  # a defect, not photos that do not fit
+                raise
             return {"placed": 0, "cpu_s": children_s() - before, "message": str(error)[:200]}
         result = read_result(found)
         wrong = errors(cameras(found / "sparse" / "0"), reference)
