@@ -181,14 +181,7 @@ def _check_contract(group: str, name: str, cls: type, where: str) -> None:
 
 def discover() -> None:
     """Import every plugin module, so that all of them are registered."""
-    for package_name in (*GROUPS.values(), *PARTS.values()):
-        package = importlib.import_module(package_name)
-        _check_place(package)
-        for module in pkgutil.iter_modules(package.__path__):
-            name = f"{package_name}.{module.name}"
-            if name not in sys.modules:
-                with plugin_call(f"{name}: importing it"):
-                    importlib.import_module(name)
+    _import_packages()
     for place, file in own_plugins():
         name = f"own_plugins.{place.removesuffix('.py').replace('/', '.')}"
         if name not in sys.modules and not file.name.startswith("_"):
@@ -198,6 +191,18 @@ def discover() -> None:
         source = f"entry point {point.name} = {point.value}: importing it"
         with plugin_call(source, "fix or uninstall that package"):
             point.load()
+
+
+@functools.cache
+def _import_packages() -> None:
+    """Import the modules of the folder `plugins/`, once per process."""
+    for package_name in (*GROUPS.values(), *PARTS.values()):
+        package = importlib.import_module(package_name)
+        _check_place(package)
+        for module in pkgutil.iter_modules(package.__path__):
+            name = f"{package_name}.{module.name}"
+            with plugin_call(f"{name}: importing it"):
+                importlib.import_module(name)
 
 
 def _import_file(name: str, file: Path) -> None:

@@ -6,7 +6,7 @@ numbers:
 
     python benchmarks/safety/determinism.py --update
 
-LPIPS and reports are not included, because PyTorch's convolutions differ between processors.
+LPIPS is not included, because PyTorch's convolutions differ between processors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ STAGES = Path(__file__).with_name("stages.py")
 BITS = ROOT / "tests" / "golden" / "bits.json"
 LIBRARIES = ("numpy", "scipy", "torch", "numba", "llvmlite", "opencv-contrib-python-headless")
 LIBRARIES += ("pillow", "scikit-image", "pandas")
-FOLLOWING = ("metric lpips", "report")  # stages whose bits are not in the one hash
 
 _AVX512 = "-AVX512F,-AVX512VL,-AVX512BW,-AVX512DQ"
 AVX2 = {
@@ -80,14 +79,9 @@ def _kernel_cache() -> str:
     return subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True).stdout[:-1]
 
 
-def committed(hashes: dict[str, str]) -> dict[str, str]:
-    """Keep the stages whose hashes are committed."""
-    return {stage: bits for stage, bits in hashes.items() if not stage.startswith(FOLLOWING)}
-
-
 def one_hash(hashes: dict[str, str]) -> str:
-    """Return one hash of all committed stages."""
-    return hashlib.sha256(json.dumps(committed(hashes), sort_keys=True).encode()).hexdigest()
+    """Return one hash of all stages."""
+    return hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:
@@ -97,7 +91,7 @@ def versions() -> dict[str, str]:
 
 def update() -> None:
     """Make what this checkout computes the bits that the suite expects."""
-    hashes = committed(stages({}))
+    hashes = stages({})
     content = {"versions": versions(), "stages": hashes}
     BITS.write_text(json.dumps(content, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     print(f"{BITS.relative_to(ROOT)}: {one_hash(hashes)}")

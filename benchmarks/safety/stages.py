@@ -1,7 +1,7 @@
 """What every stage computes, as one SHA-256 each, printed as JSON; `determinism.py` compares them.
 
 Small, so that it also runs in the suite: the embedded scene and photos of another one, depth,
-initial Gaussians, trainings with plugins of every group, metrics, a report. Only when it is named,
+initial Gaussians, trainings with plugins of every group, metrics. Only when it is named,
 `plugins`: a training with each plugin there is.
 
     python benchmarks/safety/stages.py [STAGE ...]
@@ -55,7 +55,11 @@ TRAININGS: dict[str, list[str]] = {
     ],
     "a student": ["augment=none", "reg=none", "trainer.members=2", "trainer.tuning=0.2"],
 }
-STEPS = 20
+COMMON = (
+    *(f"scene.{key}={value}" for key, value in SCENE.items()),
+    *("trainer.steps=20", "threads=2"),
+    "metrics.lpips_weights=none",  # whatever the user has fetched
+)
 
 
 def digest(parts: Iterable[Any]) -> str:
@@ -157,17 +161,12 @@ def init(folder: Path) -> dict[str, str]:
 
 def training(folder: Path) -> dict[str, str]:
     """Hash the files of whole runs, without times and facts about the machine."""
-    from framework.command import cli
+    import fishersplat
 
     hashes = {}
-    size = [f"scene.{key}={value}" for key, value in SCENE.items()]
     for k, (kind, options) in enumerate(TRAININGS.items()):
         run = folder / f"run{k}"
-        words = [*size, "depth.planes=48", *options, f"trainer.steps={STEPS}", "threads=2"]
-        words += ["metrics.lpips_weights=none"]  # whatever the user has fetched
-        code = cli.main(["scene=embedded", *words, f"hydra.run.dir={run}"])
-        if code != 0:
-            raise SystemExit(f"{kind}: exit code {code}")
+        fishersplat.run(*COMMON, "depth.planes=48", *options, folder=run, quiet=True)
         hashes[f"training {kind}"] = digest([(run / "point_cloud.ply").read_bytes()])
         hashes[f"run {kind}"] = digest(_of_run(run))
     return hashes
@@ -175,24 +174,18 @@ def training(folder: Path) -> dict[str, str]:
 
 def plugins(folder: Path) -> dict[str, str]:
     """A short training with each plugin."""
+    import fishersplat
     from framework import registry
-    from framework.command import cli
 
     hashes = {}
-    size = [f"scene.{key}={value}" for key, value in SCENE.items()]
     chosen = [
         f"{group}={name}" for group in registry.GROUPS for name in sorted(registry.table(group))
     ]
     chosen += ["init=patch_growth init.rounds=20", "init=epipolar", "trainer.opacity_spare=0.5"]
     for k, words in enumerate(chosen):
         run = folder / f"run{k}"
-        overrides = [*size, *words.split(), f"trainer.steps={STEPS}", "threads=2"]
-        if "depth=" not in words or words == "depth=plane_sweep":
-            overrides.append("depth.planes=48")
-        overrides += ["metrics.lpips_weights=none", f"hydra.run.dir={run}"]
-        code = cli.main(["scene=embedded", *overrides])
-        if code != 0:
-            raise SystemExit(f"{words}: exit code {code}")
+        planes = ["depth.planes=48"] if "depth=" not in words or "plane_sweep" in words else []
+        fishersplat.run(*COMMON, *words.split(), *planes, folder=run, quiet=True)
         hashes[words] = digest([(run / "point_cloud.ply").read_bytes()])
     return hashes
 
@@ -211,18 +204,13 @@ def _of_run(run: Path) -> Iterable[Any]:
 
 
 def metrics(folder: Path) -> dict[str, str]:
-    """Every metric of images that differ a little, a lot, and by a mask."""
+    """Every metric of images that differ a little, a lot, and by a mask; LPIPS alone has other bits
+    on other processors."""
     import torch
 
     from framework.compute.rng import stream
-    from framework.metrics import evaluate, lpips
-    from tests.metrics.test_lpips import features, state_dict
+    from framework.metrics import evaluate
 
-    hashes = {}
-    networks = {}
-    for kind in ("VGG-16", "AlexNet"):
-        torch.save(state_dict(kind, features(kind)), folder / f"{kind}.pth")
-        networks[kind] = lpips.load(folder / f"{kind}.pth")
     first, second, third, *_ = [view.image for view in _training().views]
     noise = torch.from_numpy(stream(0, "stages").random(first.shape)).float()
     mask = (first[0] > 0.4).float()
@@ -231,41 +219,16 @@ def metrics(folder: Path) -> dict[str, str]:
         (first, (first + 0.05 * noise).clamp(0, 1), None),
         (third, noise, mask),
     ]
+    hashes = {}
     for name in ("psnr", "ssim", "flip"):
         values = [getattr(evaluate, name)(*pair) for pair in pairs]
         hashes[f"metric {name}"] = digest(map(repr, values))
-    for kind, network in networks.items():
-        images = [evaluate._pair(*pair)[:2] for pair in pairs]
-        values = [
-            float(network.distance(x / 255.0, y / 255.0, centred))
-            for x, y in images
-            for centred in (True, False)
-        ]
-        hashes[f"metric lpips {kind}"] = digest(map(repr, values))
     return hashes
-
-
-def report(folder: Path) -> dict[str, str]:
-    """Every file of the report of a made-up study."""
-    from framework.report import build_report
-    from tests.record.fakes import fake_run
-
-    study = folder / "study"
-    for seed in range(3):
-        for augment in ("none", "safi"):
-            run = fake_run(study, augment, "uar" if seed else "none", seed, gain=0.3)
-            path = run / "record.json"
-            record = json.loads(path.read_text(encoding="utf-8"))
-            record["provenance"] |= {"cpu": "some", "cores": 2, "code": "0" * 64, "git": None}
-            path.write_text(json.dumps(record), encoding="utf-8")
-    build_report(study)
-    files = sorted(file for file in study.iterdir() if file.is_file())
-    return {f"report {file.suffix[1:]} {file.name}": digest([file.read_bytes()]) for file in files}
 
 
 STAGES: dict[str, Callable[[Path], dict[str, str]]] = {
     function.__name__: function
-    for function in (scene, photos, depth, init, training, metrics, report, plugins)
+    for function in (scene, photos, depth, init, training, metrics, plugins)
 }
 USUAL = tuple(name for name in STAGES if name != plugins.__name__)
 

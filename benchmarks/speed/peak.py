@@ -35,9 +35,9 @@ from framework.kernels.tile.tiles import (
     alive_rows,
     blend_limits,
     clear_outside,
+    composite,
     first_alphas,
     listed_rows,
-    meet,
     next_run,
     run_of,
     seen_from,
@@ -46,9 +46,9 @@ from framework.records.provenance import cpu_model
 
 ONE = np.float32(1)
 LANES, LOOPS, TURNS = 16, 2_000_000, 9
-# operations per lane, read off the kernels: `meet` and the recurrence of alpha, colours and depth
+# operations per lane, read off the kernels: `composite` and the recurrence of alpha; colours, depth
 FORWARD_ROW = 7 + 2 + 3 * 2 + 2
-# `meet`, gradient along the colour, depth and alpha, rest, slope, pull, moments, sums, recurrence
+# the same and the gradient along the colour, depth and alpha, rest, slope, pull, moments and sums
 BACKWARD_ROW = 7 + 5 + 5 + 2 + 4 + 2 + 5 + 6 + 3
 RUN = 2 * 7 + 5 + 5 + 1 + 2 * 15  # `first_alphas` with two exponentials
 FORWARD_ITEM, BACKWARD_ITEM = 4, 4 + 4 + 4 * 15  # `seen_from`; also the sums over lanes
@@ -99,7 +99,7 @@ def count_work(width, height, rows, offsets, lists, counts):
                 counts[0] += count
                 counts[1] += 1
                 for at in range(row * 16, (row + count) * 16, 16):
-                    _, _, blends, left = meet(load(transmittance, at), raw, limits)
+                    _, _, blends, left = composite(load(transmittance, at), raw, limits)
                     store(transmittance, at, left)
                     store(lit, 0, load(lit, 0) + select(blends, splat(ONE), zeros()))
                     raw, ratio = raw * ratio, ratio * bend

@@ -36,7 +36,7 @@ from framework.records.provenance import cpu_model
 
 @numba.njit
 def _count(width: int, height: int, rows: Any, offsets: Any, lists: Any, limits: Any) -> int:
-    """Blended pairs, by the rules of `framework.kernels.tile.tiles.meet`, a pixel at a time."""
+    """Blended pairs, by the rules of `kernels.tile.tiles.composite`, a pixel at a time."""
     least, most, stop = limits
     columns, total = (width + 15) // 16, 0
     for tile in range(len(offsets) - 1):

@@ -28,7 +28,7 @@ from framework.files.paths import inside
 from framework.metrics.evaluate import psnr
 from framework.records.cameras import TRANSFORMS
 from framework.records.run_files import RENDERS, file_stems, photo_files
-from framework.records.spz import unpacked
+from framework.records.spz_reader import unpacked
 from framework.scenes.images import read_image
 
 if TYPE_CHECKING:

@@ -47,7 +47,7 @@ def fisher_information(
     """Compute the exact information of a camera's image on each Gaussian.
 
     It takes one render, one pass for second moments and one pull-back;
-    `kernels.project.information` has the equation.
+    `kernels.project.fisher` has the equation.
 
     Args:
         gaussians: the N Gaussians.

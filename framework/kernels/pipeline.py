@@ -13,7 +13,7 @@ from framework.compute.parallel import BLOCKS, run_blocks, threads
 from framework.errors import UserError
 from framework.kernels.constants import ROW
 from framework.kernels.lending import Lender, aligned, grown
-from framework.kernels.project import backward, information, projection
+from framework.kernels.project import backward, fisher, projection
 from framework.kernels.tile import binning, blend, moments
 from framework.types import Camera
 
@@ -238,7 +238,7 @@ class Workspace:
 
     def blend_moments(self, image: Image, mask: np.ndarray) -> None:
         """Second moments of the image's derivatives -> `sums`, and with view-dependent colour
-        `slopes` and `cross`; see `moments.blend_moments` and `information`.
+        `slopes` and `cross`; see `moments.blend_moments` and `fisher`.
 
         Args:
             mask: [H, W], or empty: of all pixels.
@@ -250,7 +250,7 @@ class Workspace:
         if self.degree > 0:
             arrays = self.arrays
             run_blocks(
-                information.colour_slopes,
+                fisher.colour_slopes,
                 arrays.means.reshape(-1),
                 arrays.shN,
                 self.degree,
@@ -286,11 +286,11 @@ class Workspace:
         )
 
     def information(self, block: np.ndarray, diagonal: np.ndarray) -> None:
-        """Moments in `sums` -> Fisher block [N, 6, 6] and diagonal [N, 14]; see `information`."""
+        """Moments in `sums` -> Fisher block [N, 6, 6] and diagonal [N, 14]; see `fisher`."""
         arrays = self.arrays
         slopes, cross = self._direction_buffers()
         run_blocks(
-            information.pull_back_moments,
+            fisher.pull_back_moments,
             arrays.means.reshape(-1),
             arrays.quats.reshape(-1),
             arrays.log_scales.reshape(-1),

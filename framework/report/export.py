@@ -1,7 +1,7 @@
 """For further use: `runs.csv`, one row per complete run; `runs.jsonl`, the archive; and the table
 for a paper, `results` as LaTeX (package booktabs), Markdown and CSV."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from framework.metrics.values import METRICS
@@ -9,7 +9,7 @@ from framework.records.archive import Entry, archive
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.run_files import csv_text
 from framework.report.provenance import code_of
-from framework.report.render import pipe_table, tex
+from framework.report.render import columns, pipe_table, tex
 from framework.report.study.axes import VIEWS
 from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.plugins import with_defaults
@@ -42,18 +42,14 @@ def runs_csv(study: Study) -> str:
             chosen[VIEWS] = counted
     # `method` and `scene` are labels here, never options
     left_out = {"seed", "scene", "method", *NEUTRAL_KEYS}
-    names = [name for name in _columns(options) if name not in left_out]
+    names = [name for name in columns(options) if name not in left_out]
     differs = [
         name for name in names if len({repr(row_options.get(name)) for row_options in options}) > 1
     ]
     labels = ["scene", "method", "seed"]
-    columns = [*labels, *differs, *(name for name in _columns(measured) if name not in labels)]
+    heads = [*labels, *differs, *(name for name in columns(measured) if name not in labels)]
     rows = [{**chosen, **row} for chosen, row in zip(options, measured, strict=True)]
-    return csv_text(rows, columns)
-
-
-def _columns(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    return list(dict.fromkeys(name for row in rows for name in row))
+    return csv_text(rows, heads)
 
 
 def _measured(run: ReportRun) -> dict[str, Any]:
@@ -97,10 +93,10 @@ def results_files(results: Results) -> dict[str, str]:
 
 def _results_csv(results: Results, metrics: list[str]) -> str:
     rows = []
-    for method, columns in results.items():
+    for method, cells in results.items():
         row = {"method": method.name}
         for metric in metrics:
-            result = columns[metric]
+            result = cells[metric]
             row[metric] = result.text if result else ""
             row[f"{metric}_sigma"] = result.sigma_text if result else ""
         rows.append(row)

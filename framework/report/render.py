@@ -95,24 +95,16 @@ class Page:
 
     def copy_of(self, name: str) -> str:
         """A picture of the report as a data URI, at its own size."""
-        return webp(read_image(self.folder / name))
+        return data_uri(webp_bytes(read_image(self.folder / name)))
 
 
-def columns(rows: Sequence[Row]) -> list[str]:
+def columns(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The headings of a table; a row without one has an empty cell there."""
     return list(dict.fromkeys(name for row in rows for name in row))
 
 
-def webp(pixels: Any, longest: int | None = None) -> str:
-    """A picture as a data URI.
-
-    Args:
-        longest: side in pixels; None: as it is.
-    """
-    return data_uri(webp_bytes(pixels, longest))
-
-
-def webp_bytes(pixels: Any, longest: int | None) -> bytes:
+def webp_bytes(pixels: Any, longest: int | None = None) -> bytes:
+    """A picture as WebP, reduced to the longer side `longest` in pixels; None: as it is."""
     buffer = io.BytesIO()
     image = Image.fromarray(pixels)
     if longest is not None:

@@ -125,8 +125,7 @@ def choose(
         steps = one.steps * (one.members + schedule.taught(one))
         return step_s * steps * (1 + (ratio - 1) * share) * (1 + tuned) <= options.seconds
 
-    total = bisect(range(1, MOST_STEPS + 1), 0, key=lambda n: not fits(n))
-    total = max(1, total)
+    total = max(1, bisect(range(1, MOST_STEPS + 1), 0, key=lambda n: not fits(n)))
     one = shared(total)
     coarse = one.coarse_until if one.steps >= SHORT else max(one.coarse_until, 0.5)
     return Choice(identity, one.seconds, step_s, one.steps, one.members, one.kept, coarse)

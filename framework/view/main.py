@@ -50,7 +50,7 @@ def main(arguments: Sequence[str], prog: str) -> int:
     )
     require(0 <= options.port <= 65535, f"--port: expected 0 to 65535, got {options.port}")
     target = None if options.static is None else _target(options.static, options.runs)
-    from framework.records.spz import SUFFIX
+    from framework.records.spz_reader import SUFFIX
     from framework.view.page import view_page
     from framework.view.runs import check_together, find_run, read_exported, read_viewed
 

@@ -15,7 +15,7 @@ from framework.records import RUN_FOLDERS
 from framework.records.ply import Splats, read_splats
 from framework.records.record import PLY, RECORD, RunRecord, read_run
 from framework.records.run_files import RENDERS, photo_files
-from framework.records.spz import read_spz
+from framework.records.spz_reader import read_spz
 
 FEW = 6  # runs that a message names
 USUAL = "reports/STUDY/runs/RUN"

@@ -1,18 +1,16 @@
 """A launcher starts fresh processes: registry, folder names and failures must reach them."""
 
-import json
 import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from framework.command.config.schema import ROOT
 from framework.compute.jit import KERNEL_CACHE
+from tests.cli.test_remote_launchers import holders, wait_for
 
 
 def test_workers_end_with_the_command_that_started_them(tmp_path: Path) -> None:
@@ -32,22 +30,16 @@ def test_workers_end_with_the_command_that_started_them(tmp_path: Path) -> None:
         stderr=subprocess.DEVNULL,
     ) as command:
         try:
-            _wait_for(lambda: len(_workers(tmp_path)) == 2)
-            workers = _workers(tmp_path)
+            wait_for(lambda: len(holders(tmp_path)) == 2)
+            workers = holders(tmp_path)
             assert command.pid not in workers
         finally:
             command.send_signal(signal.SIGKILL)
     try:
-        _wait_for(lambda: not any(map(_alive, workers)))
+        wait_for(lambda: not any(map(_alive, workers)))
     finally:
         for pid in filter(_alive, workers):
             os.kill(pid, signal.SIGKILL)
-
-
-def _workers(folder: Path) -> list[int]:
-    """The processes that are at a run; a lock is signed just after it was made."""
-    texts = [path.read_text() for path in (folder / "reports").glob("*/runs/*/.lock.holder")]
-    return [int(json.loads(text)["pid"]) for text in texts if text]
 
 
 def _alive(pid: int) -> bool:
@@ -57,10 +49,3 @@ def _alive(pid: int) -> bool:
     except FileNotFoundError:
         return False
     return state != "Z"
-
-
-def _wait_for(condition: Callable[[], bool], seconds: float = 120) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.1)

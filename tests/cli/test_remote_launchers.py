@@ -63,6 +63,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return digests(folder / "reports" / "far")
 
 
+@pytest.mark.slow
 def test_ray_makes_the_same_bytes(tmp_path: Path, expected: dict[str, str]) -> None:
     pytest.importorskip(RAY, reason="ray is an extra")
     done = command(tmp_path, f"{SMALL} {RAY_HERE} seed=0,1 -m")
@@ -86,6 +87,7 @@ def test_failures_elsewhere_reach_the_table(tmp_path: Path, module: str, words: 
     assert [json.loads(path.read_text())["status"] for path in records] == ["failed", "failed"]
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_no_byte(tmp_path: Path, expected: dict[str, str]) -> None:
     """Where no other worker can do its run, the same command again does it."""
     pytest.importorskip(SUBMITIT, reason="submitit is an extra")

@@ -34,6 +34,15 @@ def in_place(_: Any, ctx: Any, *rest: Any) -> Any:
     write(ctx.gaussians.means.detach().numpy())
 
 
+def steps_in_place(_: Any, ctx: Any, *rest: Any) -> Any:
+    yield ctx.gaussians.sh0.sum(), ("sh0",)
+    write(ctx.gaussians.means.detach().numpy())
+
+
+def failing(*_: Any) -> Any:
+    raise ValueError("lost")
+
+
 def picture_in_place(_: Any, ctx: Any, state: Any, view: Any, render: Any) -> Any:
     render.rgb[0].mul_(0.5)
     return render.rgb.mean()
@@ -67,6 +76,11 @@ def nothing(_: Any, ctx: Any, gaussians: Any, state: Any) -> Any:
     [
         ("loss", in_place, "ctx.gaussians.means unchanged"),
         ("init_state", in_place, "ctx.gaussians.means unchanged"),
+        ("opacity_factors", in_place, "ctx.gaussians.means unchanged"),
+        ("gradient", in_place, "ctx.gaussians.means unchanged"),
+        ("substeps", steps_in_place, "step 0: expected ctx.gaussians.means unchanged"),
+        ("opacity_factors", failing, "step 0: raised ValueError: lost"),
+        ("evaluated", failing, "step 3: raised ValueError: lost"),
         ("loss", picture_in_place, "render.rgb unchanged"),
         ("loss", backward, r"called backward\(\)"),
         ("loss", leave, r"called sys.exit\(0\) \(test_mistakes.py:\d+\)"),

@@ -32,17 +32,6 @@ def test_it_builds_from_its_defaults(group: str, name: str) -> None:
     assert not ours & {"name", *registry.FRAMEWORK_KEYS}
 
 
-def test_an_unknown_option_is_refused() -> None:
-    with pytest.raises(UserError, match=r"\.wieght: unknown option of .*; did you mean 'weight'"):
-        registry.build("reg", {"name": "uar", "wieght": 1.0})
-
-
-@pytest.mark.parametrize("group", list(registry.GROUPS))
-def test_an_unknown_name_is_refused(group: str) -> None:
-    with pytest.raises(UserError, match=rf"{group}=nothing_like_it: unknown .*available: "):
-        registry.build(group, {"name": "nothing_like_it"})
-
-
 def test_an_option_of_another_type_is_told_by_its_plugin() -> None:
     @dataclass(frozen=True)
     class Chosen(Regularizer):

@@ -6,9 +6,8 @@ import pytest
 from framework.compute.parallel import run_blocks
 from framework.compute.rng import stream
 from framework.depth.matching import reference
-from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows
+from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows, select_planes
 from framework.depth.matching.match import COST_ONE
-from framework.depth.matching.select import select_planes
 from framework.depth.matching.sweep import cost_volume, grey
 from framework.depth.providers import PlaneSweep
 from framework.depth.transfer import pixel_transfer

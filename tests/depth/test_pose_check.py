@@ -19,7 +19,7 @@ from framework.types import Camera, TrainingSet
 
 @pytest.fixture(scope="module")
 def room() -> TrainingSet:
-    options = {"name": "embedded", "n_views": 6, "width": 160, "height": 120}
+    options = {"name": "embedded", "n_views": 4, "width": 128, "height": 96}
     training: TrainingSet = registry.part("scene", options).load().training
     return training
 
@@ -31,7 +31,7 @@ class _Loader:
 def _renamed(training: TrainingSet) -> TrainingSet:
     images = [view.image for view in training.views]
     views = [
-        replace(v, image=i) for v, i in zip(training.views, images[3:] + images[:3], strict=True)
+        replace(v, image=i) for v, i in zip(training.views, images[2:] + images[:2], strict=True)
     ]
     return replace(training, views=tuple(views))
 

@@ -12,7 +12,7 @@ from framework.command.config.schema import ROOT
 FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 COMMANDS = ("fishersplat", "python run.py")
 QUICK = ("trainer.steps=10", "trainer.evaluations=1")
-MOST_RUNS = 6  # of one command
+MOST_RUNS = 4  # of one command
 SMALL = ("scene.width=96", "scene.height=72")  # the embedded scene's
 
 

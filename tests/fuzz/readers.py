@@ -20,7 +20,7 @@ from framework.files.opened import read_bytes
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply, write_ply
 from framework.records.record import read_run, write_failed
-from framework.records.spz import read_spz
+from framework.records.spz_reader import read_spz
 from framework.report.build import build_report
 from framework.scenes.images import read_image
 from framework.train.resume.checkpoint import pack, unpack

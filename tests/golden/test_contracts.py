@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from framework import registry
-from framework.errors import PluginError, UserError
+from framework.errors import UserError
 from framework.options import TrainerOptions
 from framework.plugin import (
     Capacity,
@@ -283,57 +283,6 @@ def test_what_the_photos_hold_on_to_fades_less() -> None:
     whole = {"opacity_decay": 0.9, "pace_steps": 0}
     even, spared = (trainer(options=whole | {"opacity_spare": s}) for s in (0.0, 5.0))
     assert spared.run().gaussians.opacities.mean() > even.run().gaussians.opacities.mean()
-
-
-@dataclass(frozen=True)
-class Odd(Regularizer):
-    """Fails in one of its hooks, or writes into what that one was given."""
-
-    hook: str
-    writes: bool = False
-
-    def _odd(self, hook: str, gaussians: Gaussians) -> None:
-        if hook == self.hook:
-            if not self.writes:
-                raise ValueError("lost")
-            gaussians.detach().means.zero_()
-
-    def init_state(self, ctx: StepContext) -> None:
-        self._odd("init_state", ctx.gaussians)
-
-    def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
-        self._odd("opacity_factors", ctx.gaussians)
-        return None, state
-
-    def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
-        self._odd("loss", ctx.gaussians)
-        return None
-
-    def substeps(self, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
-        yield ctx.render(view.camera, ctx.gaussians).rgb.mean(), ("sh0",)
-        self._odd("substeps", ctx.gaussians)
-
-    def gradient(
-        self, ctx: StepContext, state: Any, actual: Mapping[str, Tensor], at: GradientAt
-    ) -> Mapping[str, Tensor] | None:
-        self._odd("gradient", ctx.gaussians)
-        return at(ctx.gaussians)
-
-    def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: Any) -> Gaussians:
-        self._odd("evaluated", gaussians)
-        return gaussians
-
-
-@pytest.mark.parametrize(
-    "hook", ["init_state", "opacity_factors", "loss", "substeps", "gradient", "evaluated"]
-)
-def test_a_hook_that_fails_or_writes_is_named_with_its_step(hook: str) -> None:
-    step = 3 if hook == "evaluated" else 0
-    with pytest.raises(PluginError, match=rf"^reg=Odd: {hook}, step {step}: raised .*: lost"):
-        trainer(reg=ActivePlugin(Odd(hook))).run()
-    with pytest.raises(UserError, match=rf"^reg=Odd: {hook}, step {step}: expected ctx\.gaussians"):
-        trainer(reg=ActivePlugin(Odd(hook, writes=True))).run()
-    trainer(reg=ActivePlugin(Odd(""))).run()
 
 
 def test_nobody_dropped_what_an_earlier_capacity_made() -> None:

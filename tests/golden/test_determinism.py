@@ -69,14 +69,3 @@ def test_the_methods_matter(golden: RunRecord, tmp_path: Path) -> None:
         record = _run(tmp_path / f"{augment}-{reg}", seed=0, threads=2, augment=augment, reg=reg)
         bits.add(record.parameters_sha256)
     assert len(bits) == 4
-
-
-def test_a_finished_identical_run_is_reused(tmp_path: Path) -> None:
-    config = _config(seed=0, threads=2, augment="none", reg="none")
-    first = run_experiment(config, tmp_path, Silent())
-    stamp = (tmp_path / "record.json").stat().st_mtime_ns
-    again = run_experiment({**config, "force": False}, tmp_path, Silent())
-    assert again.parameters_sha256 == first.parameters_sha256
-    assert (tmp_path / "record.json").stat().st_mtime_ns == stamp
-    run_experiment({**config, "force": True}, tmp_path, Silent())
-    assert (tmp_path / "record.json").stat().st_mtime_ns != stamp

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from hydra import compose, initialize_config_dir
 
-from framework import registry
 from framework.command.config.naming import plain
 from framework.command.config.schema import CONF_DIR, choices, register_config
 from framework.compute import parallel
@@ -134,8 +133,3 @@ def test_the_order_differs_between_epochs_and_seeds() -> None:
         for epoch in range(10)
     }
     assert len(orders) == 6
-
-
-def test_every_registered_method_is_compared() -> None:
-    for group, position in (("augment", 0), ("reg", 1)):
-        assert set(registry.table(group)) <= {method[position] for method in METHODS}

@@ -11,7 +11,7 @@ import torch
 from numba.core.registry import CPUDispatcher
 
 from framework.depth import consistency, providers
-from framework.depth.matching import aggregate, match, select, sweep
+from framework.depth.matching import aggregate, match, sweep
 from framework.initialize import Stereo, completion, fusion, sight
 from framework.kernels import binocular, roughness
 from framework.scenes.embedded import shade, solids, trace
@@ -67,7 +67,7 @@ def seen_from_beside() -> list[np.ndarray]:
     ("compute", "modules"),
     [
         (traced, (solids, shade, trace, rig)),
-        (swept, (match, aggregate, select, sweep, consistency, providers)),
+        (swept, (match, aggregate, sweep, consistency, providers)),
         (warped, (kernels, zbuffer)),
         (fused, (sight, fusion, completion)),
         (smoothed, (roughness,)),

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -43,9 +44,10 @@ def test_renders_may_wait_while_the_number_of_threads_changes() -> None:
         set_threads(0)
 
 
+@pytest.mark.slow
 def test_same_bits_in_another_process_with_a_cold_cache(tmp_path: Path) -> None:
-    """The child compiles every kernel of a step again. Those of Fisher information a fresh clone
-    compiles (`tests/golden/test_bits.py`)."""
+    """The child compiles every kernel of a step again. In the suite `tests/golden/test_bits.py`
+    guards it: kernels are compiled there after every change, and the bits are committed."""
     command = [sys.executable, "-m", "tests.laws.render_bits", "2"]
     child = subprocess.run(
         command,

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from framework.errors import UserError
-from framework.files import whole as files
 from framework.files.whole import following, write_whole
 from framework.metrics.evaluate import evaluate_view
 from framework.metrics.values import Missing
@@ -123,21 +122,6 @@ def test_damaged_record_is_one_line(run_dir: Path) -> None:
     assert "\n" not in str(caught.value)
     with pytest.raises(UserError, match="found none"):
         read_run(run_dir / "nothing")
-
-
-def test_write_whole_leaves_the_old_file_on_failure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "a.txt"
-    files.write_whole(path, "old")
-
-    def fail(*_: object) -> None:
-        raise OSError("disk full")
-
-    monkeypatch.setattr("os.replace", fail)
-    with pytest.raises(OSError, match="disk full"):
-        files.write_whole(path, "new")
-    assert path.read_text() == "old" and [p.name for p in tmp_path.iterdir()] == ["a.txt"]
 
 
 def test_identity_ignores_what_cannot_change_the_result() -> None:

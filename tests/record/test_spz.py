@@ -11,7 +11,7 @@ import torch
 from framework.errors import UserError
 from framework.exports.formats import packed
 from framework.geometry import rotation_matrices
-from framework.records.spz import read_spz, unpacked
+from framework.records.spz_reader import read_spz, unpacked
 from tests.exports.folders import some_gaussians
 
 

@@ -173,12 +173,3 @@ def test_bad_folder_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFi
     assert command(["report", str(tmp_path / "nothing")]) == 2
     errors = capsys.readouterr().err
     assert errors.startswith("error: ") and errors.count("\n") == 1
-
-
-def test_importing_the_report_needs_no_torch() -> None:
-    code = (
-        "import sys, framework.report, framework.report.build;"
-        "bad = {'torch', 'numba', 'framework.train.trainer'} & set(sys.modules);"
-        "assert not bad, bad"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

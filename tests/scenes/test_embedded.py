@@ -1,9 +1,6 @@
 """The embedded scene: pinned bits, exact geometry, the cache, the options."""
 
 import hashlib
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -96,19 +93,6 @@ def test_same_bits_on_any_thread_count(tmp_path: Path, monkeypatch: pytest.Monke
     finally:
         set_threads(0)
     assert len(prints) == 1
-
-
-def test_same_bits_on_a_plain_processor(tmp_path: Path) -> None:
-    """Compiled for a machine without wide vectors or fused multiply-add, the bits are the same."""
-    code = (
-        f"from tests.built import load_scene;print(load_scene('embedded', {SMALL!r}).fingerprint)"
-    )
-    env = {**os.environ, "NUMBA_CPU_NAME": "generic", "FISHERSPLAT_CACHE": str(tmp_path)}
-    env["NUMBA_CPU_FEATURES"] = ""
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == load_scene("embedded", SMALL).fingerprint
 
 
 def test_cache_is_used_and_a_damaged_one_replaced(

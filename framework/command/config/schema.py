@@ -48,6 +48,9 @@ METRICS = {
     **{"also": str | None, "coadaptation": bool},
 }
 
+# the store's content, and the classes whose nodes it has; None before the first registration
+_registered: tuple[dict[str, Any], dict[str, dict[str, type]]] | None = None
+
 
 def choices(group: str) -> list[str]:
     """The names that `group=` accepts without the YAML variants, sorted."""
@@ -103,7 +106,11 @@ def register_config() -> None:
 
     Safe to call again: launchers start processes where nothing is registered yet.
     """
+    global _registered
     store = ConfigStore.instance()
+    classes = {group: dict(registry.table(group)) for group in OBJECT_GROUPS}
+    if _registered is not None and _registered[0] is store.repo and _registered[1] == classes:
+        return
     store.store(name="schema", node=_top_level())
     for group in OBJECT_GROUPS:
         for name in choices(group):
@@ -114,3 +121,4 @@ def register_config() -> None:
     # `sweeps/` is outside of `conf/`, where Hydra looks for groups: each file becomes a node
     for path in sorted(SWEEPS_DIR.glob("*.yaml")):
         store.store(group="sweep", name=path.stem, package="_global_", node=OmegaConf.load(path))
+    _registered = store.repo, classes

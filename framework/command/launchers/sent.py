@@ -57,15 +57,12 @@ def origin(outlives: bool) -> Origin:
     return Origin(os.getcwd(), variables, None if outlives else (platform.node(), os.getpid()))
 
 
-def lead_to_this_code(root: Path | None = None) -> None:
+def lead_to_this_code() -> None:
     """Make Python processes that start from here import this code.
 
     For `python run.py` another version may be installed, or none.
-
-    Args:
-        root: the folder of `framework`.
     """
-    place = str(root or Path(__file__).resolve().parents[3])
+    place = str(Path(__file__).resolve().parents[3])
     if place in map(os.path.realpath, site.getsitepackages()):
         return  # already importable; in front it would hide modules of Python
     others = [part for part in os.environ.get(PATH, "").split(os.pathsep) if part != place]

@@ -26,7 +26,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from framework.command.complaints import USER_ERRORS, composing
 from framework.command.config.check import check
 from framework.command.config.naming import plain, study_dir
-from framework.command.hydra_inside import jobs_of
+from framework.command.hydra_inside import jobs_of, skip_second_check
 from framework.command.launchers.supported import watch_workers
 from framework.command.overrides import check_method, parsed
 from framework.command.program import program
@@ -155,6 +155,7 @@ class StudyCallback(Callback):
         try:
             jobs = sweep_jobs(config)
             studies = check_jobs(config, jobs)
+            skip_second_check()
             for folder in studies:
                 check_links(folder)
             if config.estimate:
@@ -235,14 +236,15 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
         else:
             with composing():
                 composed = checked[method] = loader.load_sweep_config(config, job)
-        check(plain(composed))
+        values = plain(composed)
+        check(values)
         if "Slurm" not in str(config.hydra.launcher.get("_target_")):  # the run is on this machine
-            check_ready(plain(composed))
+            check_ready(values)
         with open_dict(composed):
             composed.hydra.job.num = number  # as the launcher will, after this
-        # the seed may be part of either folder
-        studies.setdefault(_study_dir(composed), []).append(plain(composed))
+        # the seed may be part of it
         folder = f"{composed.hydra.sweep.dir}/{composed.hydra.sweep.subdir}"
+        studies.setdefault(study_dir(Path(folder)), []).append(values)
         if folder in taken:
             raise UserError(
                 f"multirun: expected a folder for each run, got {folder} for both"
@@ -259,10 +261,6 @@ def _at_once(config: DictConfig) -> int:
     in_ray = OmegaConf.select(launcher, "ray.init.num_cpus")
     asked = int(launcher.get("n_jobs") or launcher.get("array_parallelism") or in_ray or 1)
     return asked if asked > 0 else os.cpu_count() or 1
-
-
-def _study_dir(composed: DictConfig) -> Path:
-    return study_dir(Path(composed.hydra.sweep.dir) / composed.hydra.sweep.subdir)
 
 
 def build_reports() -> None:

@@ -14,10 +14,9 @@ from scipy.ndimage import uniform_filter
 
 from framework.compute.parallel import run_blocks
 from framework.depth.consistency import agreeing_views, depth_map
-from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows
+from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows, select_planes
 from framework.depth.matching.match import COST_ONE, VARIANCE_FLOOR, match_costs
 from framework.depth.matching.neighbours import choose_neighbours, depth_bounds, grid_points
-from framework.depth.matching.select import select_planes
 from framework.depth.options import PlaneSweepOptions
 from framework.depth.transfer import inside, pixel_transfer, project
 from framework.errors import UserError, require

@@ -1,2 +1,2 @@
 """Gaussians -> rows on the screen (`projection`), and back to the parameters (`backward`);
-`information` pulls second moments back. The mathematics is in `ewa`, `harmonics`, `jacobian`."""
+`fisher` pulls second moments back. The mathematics is in `ewa`, `harmonics`, `jacobian`."""

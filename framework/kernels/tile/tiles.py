@@ -174,12 +174,14 @@ def colour(rows, g):
 
 
 @inlined
-def meet(t, raw, limits):
-    """A pixel with transmittance t and a Gaussian of alpha `raw`: (alpha after its limit, weight,
-    whether it blends, the pixel's next t).
+def composite(t, raw, limits):
+    """Composite a Gaussian of alpha `raw` into a pixel of transmittance t.
 
     Args:
         limits: least alpha, least t, most alpha.
+
+    Returns:
+        Alpha after its limit, the weight, whether it blends, the pixel's next t.
     """
     least, stop, most = limits
     active = greater_equal(raw, least)
