@@ -127,12 +127,12 @@ def keep_studies(studies: Mapping[str, Any]) -> int:
 
 
 def without_absent(page: str, folder: Path) -> str:
-    """The report without pictures and links to files that are not in the folder."""
+    """The report without pictures, with their captions, and links to files not in the folder."""
 
     def kept(match: re.Match[str]) -> str:
         return match[0] if (folder / match[1]).is_file() else ""
 
-    page = re.sub(r"^!\[[^\n]*\]\(([^)]+)\)\n\n", kept, page, flags=re.M)
+    page = re.sub(r"^!\[[^\n]*\]\(([^)]+)\)\n\n[^\n]*\n\n", kept, page, flags=re.M)
     return re.sub(r" \[(?:SVG|CSV)\]\(([^)]+)\)", kept, page)
 
 

@@ -124,14 +124,15 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Convert formulas to MathML, which browsers render without a script."""
+    """Convert formulas to MathML, which needs no script, and make tables focusable."""
     from latex2mathml.converter import convert
 
     def mathml(match: re.Match[str]) -> str:
         display = "block" if match[1] == "div" else "inline"
         return str(convert(unescape(match[2]).strip(), display=display))
 
-    return MATHS.sub(mathml, html)
+    # a focusable table scrolls by keyboard on narrow screens
+    return MATHS.sub(mathml, html).replace("<table>", '<table tabindex="0">')
 
 
 def on_post_page(output: str, **_: Any) -> str:

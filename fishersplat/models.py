@@ -75,7 +75,7 @@ def train(
     Args:
         scene: from `load_scene`, or built with `framework.scenes.assemble`.
         options: words of the command line that concern the training, for instance
-            `"augment=safi"`. The scene is given, and a model is neither evaluated nor written.
+            `"augment=safi"`. Options of the scene or of the evaluation are errors.
         depth: depth maps of the training views; by default the `depth` option estimates them.
         quiet: print no progress.
 

@@ -108,7 +108,7 @@ def mendable(error: OSError) -> bool:
 
 
 def os_line(error: OSError, path: Path | str | None = None) -> str:
-    """One line about what the system said against `path`, or the path that the error names."""
+    """Format an OS error in one line, for `path` or the path in the error."""
     where = path if path is not None else error.filename or NOWHERE
     if isinstance(where, bytes):
         where = where.decode("utf-8", "replace")
@@ -135,7 +135,7 @@ def out_of_memory(error: BaseException) -> bool:
 
 
 def memory_line(error: BaseException) -> str:
-    """One line about it."""
+    """Format a lack of memory in one line."""
     reason = printable_line(str(error))[:160] or type(error).__name__
     return (
         f"memory: expected room for the run, got '{reason}'; free some, raise the limit"
@@ -144,7 +144,7 @@ def memory_line(error: BaseException) -> str:
 
 
 def machine_line(error: BaseException) -> str | None:
-    """One line about what the machine refuses, a file, room or memory; None for anything else."""
+    """Format an error about a file, disk space or memory in one line; None for other errors."""
     if isinstance(error, OSError) and mendable(error):
         return printable_line(os_line(error))
     return printable_line(memory_line(error)) if out_of_memory(error) else None

@@ -240,8 +240,7 @@ class Gaussians:
         return self.map(lambda t: t[start:end])
 
     def with_bands(self, keep: Tensor) -> Gaussians:
-        """All of them, but only those of the mask `keep` ([N] bool) with their SH bands above 0;
-        these come first."""
+        """Keep SH bands above 0 only for the mask `keep` ([N] bool), whose Gaussians come first."""
         kept = keep[: len(self.shN)]
         rows = torch.cat([kept.nonzero()[:, 0], (~kept).nonzero()[:, 0]])
         rows = torch.cat([rows, torch.arange(len(kept), len(self), device=rows.device)])
@@ -269,8 +268,9 @@ def concatenate(parts: list[Gaussians]) -> Gaussians:
 def edited(
     gaussians: Gaussians, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None
 ) -> Gaussians:
-    """Those of the mask `keep`, SH bands above 0 only for those of `bands` (both [N] bool, None:
-    all); then the appended ones."""
+    """Keep the Gaussians of the mask `keep`, their SH bands above 0 only for `bands`, and append.
+
+    Both masks are [N] bool; None selects all."""
     if keep is not None:
         gaussians, bands = gaussians[keep], None if bands is None else bands[keep]
     if bands is not None:

@@ -74,7 +74,7 @@ def cameras(sparse: Path) -> Cameras:
 
 
 def errors(estimated: Cameras, reference: Cameras) -> Errors:
-    """Of the found cameras, after the best similarity to the known ones."""
+    """Return the errors of the estimated cameras after the best similarity transform."""
     names = sorted(estimated)
     ours = np.array([estimated[name][0] for name in names])
     theirs = np.array([reference[name][0] for name in names])

@@ -63,7 +63,7 @@ COMMON = (
 
 
 def digest(parts: Iterable[Any]) -> str:
-    """Of arrays, tensors, texts, numbers and bytes in their order."""
+    """Hash arrays, tensors, texts, numbers and bytes in their order."""
     import numpy as np
 
     total = hashlib.sha256()

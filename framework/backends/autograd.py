@@ -34,7 +34,7 @@ class TakenGradient:
         return self.tensors, self.means2d
 
     def drop(self) -> None:
-        """It holds nothing of others."""
+        """Do nothing: there are no buffers."""
 
 
 @dataclass(frozen=True)

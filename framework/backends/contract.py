@@ -40,11 +40,11 @@ class RenderGradient(Protocol):
     def absolute(self) -> Tensor | None: ...
 
     def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
-        """The gradient in every tensor of `gaussians`, by name, and in the projected means [N, 2],
-        in pixels. To be asked once."""
+        """Return the gradients in the tensors of `gaussians` by name, and in the projected means
+        [N, 2] in pixels. May be called once."""
 
     def drop(self) -> None:
-        """Give back what it holds, in the place of `pull_back`."""
+        """Release the buffers instead of calling `pull_back`."""
 
 
 class Rasterizer(ABC):
@@ -65,14 +65,14 @@ class Rasterizer(ABC):
 
     @property
     def device(self) -> str:
-        """Where parameters, moments and targets of a training are kept, as torch calls it."""
+        """Return the torch device of a training's parameters, moments and targets."""
         return "cpu"
 
     def ready(self) -> None:  # noqa: B027 - most are ready anywhere
         """Raise UserError, in one line, where this machine cannot draw so."""
 
     def facts(self) -> dict[str, Any]:
-        """For the provenance of a run's record; nothing of a rasterizer that keeps bits."""
+        """Return facts for a run's provenance; none if the rasterizer is reproducible."""
         return {} if self.keeps_bits else {BITS: NOT_KEPT}
 
     @abstractmethod

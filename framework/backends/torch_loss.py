@@ -32,7 +32,7 @@ class TorchTarget:
 
 
 def target(image: Tensor, mask: Tensor | None, device: str) -> TorchTarget:
-    """What the loss needs of a photo [3, H, W] and its mask [H, W], both on the CPU."""
+    """Prepare a photo [3, H, W] and its mask [H, W], both on the CPU, for the loss."""
     image = image.detach().to(device)
     if mask is not None:
         mask = mask.detach().to(device)
@@ -71,7 +71,7 @@ def loss_gradient(
 
 
 def roughness_gradient(alpha: Tensor, depth: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """In alpha and depth [H, W].
+    """Return the gradients in alpha and depth [H, W].
 
     Args:
         weights: [2, H, W].
@@ -98,7 +98,7 @@ def binocular_gradient(
     tolerance: float,
     weight: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """In alpha and depth [H, W], and in the colours of `beside`."""
+    """Return the gradients in alpha and depth [H, W] and in the colours of `beside`."""
     leaves = [t.detach().requires_grad_() for t in (alpha, depth, beside.rgb)]
     disparity = _disparities(*leaves[:2])
     width = disparity.shape[1]

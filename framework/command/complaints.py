@@ -24,7 +24,7 @@ from omegaconf.errors import (
 )
 
 from framework.command.config.check import hint
-from framework.command.config.schema import CONF_DIR
+from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS
 from framework.command.launchers.supported import LAUNCHERS, missing_extra, package_of
 from framework.command.program import program
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
@@ -172,8 +172,9 @@ def _missing_choice(error: MissingConfigException) -> str | None:
         )
     options = {*error.options, *(LAUNCHERS if group == "hydra/launcher" else ())}
     folder = os.environ.get(OWN_VARIABLE)
-    searched = f"; --plugins {folder} was searched too" if folder else ""
-    return f"{group}={name}: unknown {group}; {nearest_hint(name, options)}{searched}"
+    plugins = f"--plugins {folder} was searched too" if folder else "--plugins DIR adds your own"
+    folders = f"; {plugins}" if group in OBJECT_GROUPS else ""
+    return f"{group}={name}: unknown {group}; {nearest_hint(name, options)}{folders}"
 
 
 def _unknown_key(error: OmegaConfBaseException) -> str | None:

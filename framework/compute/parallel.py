@@ -96,7 +96,7 @@ def run_blocks(
 
 
 def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
-    """What the `tasks` return, in order, on as many threads as kernels have.
+    """Run `tasks` on as many threads as kernels have, and return their results in order.
 
     For work in libraries that leave the interpreter free. What a task runs by `run_blocks` runs on
     its own thread.
@@ -112,10 +112,11 @@ def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
 
 
 def run_together(tasks: Sequence[Callable[[Callable[[], None]], Any]]) -> list[Any]:
-    """What long `tasks` return, in order, each on one thread; a single one has all threads.
+    """Run long `tasks`, each on one thread, and return their results in order.
 
-    Each is given a function to call every now and then, which raises Abandoned once another has
-    failed or the caller was interrupted. Raises what the first to fail raised, when all have ended.
+    A single task gets all threads. Each task receives a function that it calls regularly; it raises
+    Abandoned once another task has failed or the caller was interrupted. When all tasks have
+    ended, the first failure is raised.
     """
     results: list[Any] = [None] * len(tasks)
     failed: list[BaseException] = []
@@ -159,7 +160,7 @@ def _wait(events: Sequence[threading.Event]) -> None:
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """What this thread runs by `run_blocks` meanwhile runs on it alone, as in a task."""
+    """Run the blocks of `run_blocks` on the calling thread only, as in a task."""
     before, _local.in_task = in_task(), True
     try:
         yield

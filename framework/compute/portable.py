@@ -169,16 +169,19 @@ def logit(p: ArrayLike) -> Array:
     return log(p) - log1p(-np.asarray(p, np.float64))
 
 
-def log_det(blocks: ArrayLike, more: ArrayLike = 0.0) -> Array:
-    """[N] log determinants by the pivots of L D L^T of blocks [N, D, D] with `more` [N, D] >= 0 on
-    their diagonals. The blocks are positive semi-definite, so no pivot is below it; rounding that
-    says otherwise is corrected.
+def log_det(blocks: ArrayLike, more: ArrayLike = 0.0, least: float = 0.0) -> Array:
+    """[N] log determinants by the pivots of L D L^T of blocks [N, D, D].
+
+    Args:
+        blocks: positive semi-definite, or at least `least` times the identity.
+        more: [N, D] >= 0, added to the diagonals.
+        least: smaller pivots are rounding errors and become `least + more`.
     """
     a = np.array(np.moveaxis(np.asarray(blocks, np.float64), 0, -1), order="C")  # lanes: blocks
     total = np.zeros(a.shape[-1])
-    least = np.broadcast_to(np.asarray(more, np.float64), a.shape[:0:-1])
+    added = np.broadcast_to(np.asarray(more, np.float64), a.shape[:0:-1])
     for i in range(len(a)):
-        pivot = np.maximum(a[i, i] + least[:, i], least[:, i])
+        pivot = np.maximum(a[i, i] + added[:, i], least + added[:, i])
         total += log(pivot)
         for row in range(i + 1, len(a)):
             factor = a[row, i] / pivot

@@ -33,7 +33,7 @@ class Stopwatch:
 
     @contextmanager
     def paused(self) -> Iterator[float]:
-        """What is done inside does not count; gives the seconds counted before it."""
+        """Stop counting inside the block; yields the seconds counted before it."""
         wall, cpu = time.perf_counter(), self._cpu_time()
         try:
             yield wall - self._wall

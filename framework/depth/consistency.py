@@ -55,7 +55,7 @@ def confirmed(
 
 
 def depth_map(view: View, depth: NDArray[np.float32], score: NDArray) -> DepthMap:
-    """A view's map with the confidence `score`, which is 0 outside of its mask."""
+    """Build a view's depth map with confidence `score`, 0 outside the view's mask."""
     confidence = torch.from_numpy(score.astype(np.float32))
     masked = confidence if view.mask is None else confidence * (view.mask > 0)
     return DepthMap(torch.from_numpy(depth), masked)

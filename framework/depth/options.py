@@ -32,12 +32,12 @@ class DepthProvider:
     """Base of all providers, with the options they share.
 
     Attributes:
-        corruption: none, or noise, bias, holes, blur, several joined by + in the order they act.
+        corruption: none, or noise, bias, holes or blur; join several by + in their order.
             For instance `noise+holes`.
-        strength: of all corruptions, in [0, 1]; 0 changes nothing. 1 is as bad as
-            `framework.depth.corruption` says.
-        corruption_seed: of their draws. The run's seed does not move them: all seeds of a study
-            meet the same spoiled depth.
+        strength: strength of all corruptions in [0, 1]; 0 has no effect. The formulas are in
+            `framework.depth.corruption`.
+        corruption_seed: seed of the corruptions. It does not follow the run's seed, so all seeds of
+            a study have the same corrupted depth.
     """
 
     corruption: str = NONE
@@ -79,7 +79,7 @@ class DepthProvider:
         return ""
 
     def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
-        """One map per training view, in their order, corrupted as the options say."""
+        """Estimate one map per training view, in order, with the corruption of the options."""
         maps = self.measure(training)
         if not self.corruptions() or self.strength == 0:
             return maps
@@ -88,12 +88,11 @@ class DepthProvider:
         return corrupt(maps, self.corruptions(), self.strength, self.corruption_seed)
 
     def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
-        """One map per training view, in their order, as well as the provider can."""
+        """Estimate one map per training view, in order, without corruption."""
         raise NotImplementedError
 
     def fingerprint(self, training: TrainingSet) -> str:
-        """What beside the options and the training set determines the maps: SHA-256 hex of the
-        files that `measure` reads, "" if it reads none."""
+        """Return the SHA-256 (hex) of the files that `measure` reads; "" if it reads none."""
         return ""
 
 

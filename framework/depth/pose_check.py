@@ -47,12 +47,12 @@ class PoseCheck:
         return self.ratio >= LIMIT
 
     def figures(self) -> dict[str, float | bool]:
-        """What a run's record keeps."""
+        """Return the numbers for a run's record."""
         numbers = {"support": self.support, "chance": self.chance, "ratio": self.ratio}
         return {**{name: round(value, 3) for name, value in numbers.items()}, "fits": self.fits}
 
     def warning(self) -> str:
-        """One line about poses that do not fit."""
+        """Format a one-line warning about poses that do not fit."""
         advice = self.cause or (
             "check the axes of the poses, the order and orientation of the photos and the depth"
             " bounds; photos without much overlap give the same warning"

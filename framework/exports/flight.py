@@ -112,7 +112,7 @@ ALONG = 1e-6  # sine of the angle between viewing and up direction; below, they 
 
 
 def usual_seconds(kind: str, n: int) -> float:
-    """How long a flight past n cameras takes."""
+    """Return the default duration of a flight past n cameras."""
     return SECONDS.get(kind) or min(MOST_SECONDS, max(4.0, 2 * SECONDS_EACH * (n - 1)))
 
 

@@ -75,7 +75,7 @@ def check_writer(kind: str) -> None:
 
 
 def full(gaussians: Gaussians) -> Gaussians:
-    """With SH bands for all Gaussians, zeros where there were none."""
+    """Give all Gaussians SH bands, with zeros where there were none."""
     import torch
 
     n, bands = len(gaussians), gaussians.shN

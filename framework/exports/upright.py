@@ -80,11 +80,11 @@ def moved_gaussians(gaussians: Gaussians, motion: Array) -> Gaussians:
 
 
 def turned_bands(shN: Tensor, turn: Tensor) -> Tensor:
-    """SH coefficients [M, K-1, 3] above degree 0 of colours that were turned by `turn` [3, 3].
+    """Rotate SH coefficients [M, K-1, 3] above degree 0 by `turn` [3, 3].
 
-    Harmonics of one degree turn among themselves: Y(R^T d) = D Y(d) for all directions d, with one
-    matrix D per degree, here found from some directions by least squares. Coefficients c then
-    become D^T c (Ivanic and Ruedenberg 1996 have D in closed form).
+    A rotation maps each degree to itself: Y(R^T d) = D Y(d) for all directions d, with one matrix D
+    per degree. D is fitted to sampled directions by least squares (Ivanic and Ruedenberg 1996 give
+    it in closed form). Coefficients c become D^T c.
     """
     import torch
 

@@ -23,9 +23,9 @@ log = logging.getLogger(__name__)
 def background_color(kind: str, training: TrainingSet) -> Tensor:
     """The background colour [3] float32 of one of `BACKGROUNDS`.
 
-    `mean` is that of the valid training pixels, or the paper of transparent photos. `black` and
-    `white` log a warning if the paper is another. For `random`, which training steps draw by
-    `random_background`, evaluation uses the mean, as it differs least on average.
+    `mean` is the mean of the valid training pixels, or the colour behind transparent photos.
+    `black` and `white` log a warning if that colour differs. With `random`, training steps use
+    `random_background` and the evaluation uses the mean, which differs least on average.
 
     Raises:
         UserError: if the masks leave no pixel to train on.

@@ -3,8 +3,8 @@
 Without a guess there is only the background colour, and no Gaussian is near to learn the photo. The
 guess continues the depth around the pixel, including that of sparse points. It prefers the farther
 depth at an edge, since what stereo misses is mostly behind. Then it moves back along its ray until
-no training view looks through it and it is outside the ball around the cameras: other cameras look
-through that ball, and floaters in it would hide the scene.
+no training view looks through it and it is outside the ball around the cameras. Other cameras look
+through that ball, so floaters in it would hide the scene.
 """
 
 from functools import partial

@@ -52,7 +52,7 @@ class Mapped:
 
     @property
     def views(self) -> list[View]:
-        """In this order."""
+        """Return the training views in this order."""
         return [self.training.views[i] for i in self.order]
 
 

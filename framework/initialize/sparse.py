@@ -41,7 +41,7 @@ class Sparse:
     def build(
         self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
     ) -> Gaussians:
-        """One Gaussian per point of `training.points`; depth and seed play no part.
+        """Create one Gaussian per point of `training.points`; depth and seed are ignored.
 
         Raises:
             UserError: when there are too few points for neighbour distances.

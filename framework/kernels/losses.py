@@ -36,7 +36,7 @@ class Target:
 
     @staticmethod
     def of(image: Tensor, mask: Tensor | None = None) -> Target:
-        """From an image [3, H, W] in [0, 1] and an optional mask [H, W] in [0, 1]."""
+        """Prepare an image [3, H, W] in [0, 1] with an optional mask [H, W] in [0, 1]."""
         pixels = np.ascontiguousarray(image.detach().numpy(), np.float32)
         ones = valid = _ones(*pixels.shape[1:])
         if mask is not None:

@@ -35,7 +35,7 @@ class Arrays:
     offset: np.ndarray
 
     def flat(self) -> tuple[np.ndarray, ...]:
-        """All arrays flattened but shN [M, K, 3], as the kernels read them."""
+        """Return all arrays for the kernels, flattened except shN [M, K, 3]."""
         values = (getattr(self, field.name) for field in fields(self))
         return tuple(value if value is self.shN else value.reshape(-1) for value in values)
 
@@ -174,7 +174,7 @@ class Workspace:
         image: Image,
         radii: np.ndarray,
     ) -> None:
-        """All stages, into `image` and radii [N]."""
+        """Run all stages; write `image` and radii [N]."""
         self.project(arrays, camera, degree, near, radii)
         self.sort()
         self.bin()
@@ -271,7 +271,7 @@ class Workspace:
         )
 
     def projected(self) -> tuple[Any, ...]:
-        """What `backward.project_backward` reads besides the parameters."""
+        """Return the inputs of `backward.project_backward` besides the parameters."""
         rows, sums = self.rows.reshape(-1), self.sums.reshape(-1)
         return self.degree, self.camera, rows, self.clipped, self.first, sums
 

@@ -12,7 +12,7 @@ from framework.errors import printable_line
 from framework.records.progress import Progress
 
 LOGGERS = ("framework", "plugins")  # the parents of every module's logger
-QUIET = "warm-up"  # a thread of that name is at something the user did not ask for
+QUIET = "warm-up"  # a thread of that name works in the background
 
 
 class _Lines(logging.Handler):

@@ -82,7 +82,7 @@ class StageTime:
 
 @dataclass(frozen=True)
 class SceneInfo:
-    """What was trained on.
+    """The scene of a run.
 
     Attributes:
         fingerprint: SHA-256 of all that was loaded.

@@ -19,8 +19,8 @@ NAME_LENGTH = 255  # of a scene or a choice: as of a folder
 GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
 FACTS = ("fishersplat", "python", "code", "cpu", "system", "bits", "gpu", "cuda", "gsplat")
 TRAINER = typing.get_type_hints(TrainerOptions)
-EACH = "each"  # stands for every key of a mapping
-Test = Callable[[Any], object]  # of a value: whether it is as a run writes it
+EACH = "each"  # the rule of every key of a mapping
+Test = Callable[[Any], object]  # whether a value is as a run writes it
 Rule = Test | Mapping[str, Any]  # or the rules of a mapping's fields
 
 
@@ -34,12 +34,12 @@ def check_record(content: Any) -> None:
 
 
 def check_failure(content: Any) -> None:
-    """The same of a `failed.json`."""
+    """Check a `failed.json` in the same way."""
     _check_rule("the content", content, FAILURE_RULES)
 
 
 def check_config(config: Any, complete: bool) -> None:
-    """The same of a run's configuration; that of a failed run may lack parts."""
+    """Check a run's configuration in the same way; a failed run's may lack parts."""
     _check("config", config, isinstance(config, Mapping))
     if "seed" in config:
         _check("config.seed", config["seed"], _is_count(config["seed"]))

@@ -98,8 +98,9 @@ def file_stems(views: Sequence[str]) -> list[str]:
 
 
 def metrics_csv(metrics: Sequence[ViewMetrics], stems: Sequence[str]) -> str:
-    """One row per view; tags are joined by blanks, `missing` is a JSON object metric -> reason; at
-    the end what plugins measured."""
+    """Format metrics with one row per view and the metrics of plugins last.
+
+    Tags are joined by blanks; `missing` is a JSON object metric -> reason."""
     rows = []
     for entry, stem in zip(metrics, stems, strict=True):
         values = {name: entry.value(name) for name in (*METRICS, *entry.also)}
@@ -113,7 +114,7 @@ def metrics_csv(metrics: Sequence[ViewMetrics], stems: Sequence[str]) -> str:
 
 
 def history_csv(history: Sequence[HistoryRow]) -> str:
-    """One row per logged step; logged names become columns, sorted."""
+    """Format a history with one row per logged step and one column per logged name, sorted."""
     names = sorted({f"{LOGGED}{name}" for row in history for name in row.logged})
     rows = []
     for row in history:
@@ -228,8 +229,7 @@ def _png(pixels: np.ndarray) -> bytes:
 
 
 def photo_files(names: Sequence[str]) -> list[str]:
-    """Where the photos of the training views `names`, in the order of a run's record, lie in its
-    folder."""
+    """Return the photo files, inside a run's folder, of its training views `names` in order."""
     return [f"{PHOTOS}/{stem}.jpg" for stem in file_stems(names)]
 
 

@@ -89,7 +89,7 @@ def built(
     photos: bool = True,
     rival: str = "",
 ) -> Report:
-    """As `build_report`, with the study and the verdict."""
+    """Write the report as `build_report` does; also return the study and the verdict."""
     study = collect(study_dirs, out_dir, rival)
     if out_dir is None:
         _keep_fuller_report(study)
@@ -216,8 +216,10 @@ def _forest(findings: Findings) -> Picture | None:
 
 def _cost(study: Study, scene: str) -> tuple[str, list[Picture]]:
     """A scene with the charts of its costs."""
-    alt = f"PSNR against cost of {scene}"
-    pictures = [chart_picture(study.out_dir, charts, alt) for charts in cost_charts(study, scene)]
+    pictures = []
+    for charts in cost_charts(study, scene):
+        costs = " and ".join(chart.x_label for chart in charts)
+        pictures.append(chart_picture(study.out_dir, charts, f"PSNR against {costs} on {scene}"))
     return scene, pictures
 
 

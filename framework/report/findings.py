@@ -63,7 +63,7 @@ class Contest:
 
 @dataclass(frozen=True)
 class Idle:
-    """A method, or a `part` of it, that acted on less than half of its occasions."""
+    """A method, or a `part` of it, that acted on less than half of its opportunities."""
 
     method: Method
     scene: str
@@ -75,7 +75,7 @@ class Idle:
 
 @dataclass(frozen=True)
 class Findings:
-    """All that a report says about a study, beside its tables."""
+    """The contents of a report apart from its tables."""
 
     study: Study
     outcomes: Outcomes
@@ -217,7 +217,7 @@ class Findings:
 
     @property
     def papers(self) -> list[str]:
-        """What to cite for the plugins and recipes that ran."""
+        """Return the citations of the plugins and recipes that ran."""
         runs = self.study.runs
         chosen = {choice for run in runs for choice in run.record.methods.items()}
         recipes = {run.method.recipe.removesuffix("_sweep") for run in runs}

@@ -200,20 +200,23 @@ def _by_league(matches: Sequence[Match]) -> list[tuple[Method, list[Match]]]:
 
 
 def _counts(leagues: Leagues, sign: int) -> list[tuple[Method, int]]:
+    """The families with comparisons of this sign, the most frequent first."""
     counts = [(family, [m.sign for m in matches].count(sign)) for family, matches in leagues]
-    return [(family, count) for family, count in counts if count]
+    return sorted([pair for pair in counts if pair[1]], key=lambda pair: -pair[1])
 
 
 def _ranks(leagues: Leagues) -> list[Cells]:
     """One row per method, sorted by wins minus losses, then by the mean difference."""
     rows = []
+    names = [family.name for family, _ in leagues]
     for family, matches in leagues:
+        recipe = family.recipe and names.count(family.name) > 1
         signs = [match.sign for match in matches]
         differences = [match.comparison.difference for match in matches]
         mean = sum(differences) / len(matches)
         ends = [format_difference(end) for end in (min(differences), max(differences))]
         row: Cells = {
-            "Method": family,
+            "Method": f"{family} (recipe)" if recipe else family,
             "Studies": str(len({match.entry.name for match in matches})),
             "Comparisons": str(len(matches)),
             "Better": str(signs.count(1)),

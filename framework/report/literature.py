@@ -32,7 +32,7 @@ def data_set(study: Study, scene: str) -> str:
 
 
 def recipes(study: Study) -> list[tuple[str, list[Row]]]:
-    """Each scene of a data set with published figures that has two recipes or more, with these."""
+    """Return the recipes by scene, for scenes with published figures and at least two recipes."""
     entries = [entry for entry in literature() if entry.data_sets]
     published = {entry.recipe for entry in entries if entry.recipe}
     tables = []

@@ -87,9 +87,9 @@ def _times(study: Study) -> list[str]:
     stages = [stage for run in study.runs for stage in run.record.timings.values()]
     wall, cpu = sum(stage.wall_s for stage in stages), sum(stage.cpu_s for stage in stages)
     return [
-        "Every run in a row, with its options and results: `runs.csv`",
+        "One row per run, with options and results: `runs.csv`",
         f"Time: {duration(wall)} in the stages of all {len(study.runs)} runs, {duration(cpu)} of"
-        " CPU time (scene and depth count once per run, also if they were shared)",
+        " CPU time (scene and depth count for every run, even if shared)",
     ]
 
 

@@ -59,12 +59,12 @@ class Heading:
 
 @dataclass
 class Page:
-    """What a template needs beside the findings.
+    """Inputs of a template besides the findings.
 
     Attributes:
-        methods, scenes: what the page can be filtered by.
-        folder: of the pictures, which the page takes in.
-        data: for the page's script.
+        methods, scenes: values of the page's filters.
+        folder: folder of the pictures, which are embedded in the page.
+        data: data for the page's script.
         headings: list filled while the template is rendered.
     """
 

@@ -57,19 +57,21 @@ NAMES = {
 UNITS = {"psnr": "(dB)", "ssim": "↑", RANK: "(1 needles, 3 balls)"}
 PLACES = {"psnr": 2, "ssim": 3, "lpips": 3}  # of the table of results
 DOSES = {
-    "views_asked": "Epochs that asked for pseudo views",
+    "views_asked": "Epochs that requested pseudo views",
     "views_made": "Pseudo views made",
-    "refused_coverage": "Refused for coverage",
+    "refused_coverage": "Rejected for low coverage",
     "coverage_mean": "Mean coverage",
     "pseudo_share_of_loss": "Share of the loss from pseudo views",
     "share_dropped_mean": "Mean share dropped",
-    ACTED: "Share of occasions with an effect (of several parts the smallest)",
-    f"augment_{ACTED}": "Share of the augmenter",
-    f"reg_{ACTED}": "Share of the regularizer",
-    "refused_other": "Refused for other reasons",
+    "ranked_mean": "Mean number of Gaussians ranked",
+    "supports_mean": "Mean number of supports",
+    ACTED: "Share of its opportunities with an effect (smallest part)",
+    f"augment_{ACTED}": "With an effect: augmenter",
+    f"reg_{ACTED}": "With an effect: regularizer",
+    "refused_other": "Rejected for other reasons",
     "coverage_of_depth_mean": "Mean coverage of the area with depth",
     "support_distance_mean": "Mean distance of supports (camera spacings)",
-    "nearest_mean": "Share of pseudo views with the nearest photo as a support",
+    "nearest_mean": "Share of pseudo views that use the nearest photo",
     "support_rank_mean": "Mean rank of supports by distance (1: the nearest photo)",
     "pseudo_share_of_views": "Share of pseudo views among the renders",
 }
@@ -322,7 +324,7 @@ def _worst_cells(runs: list[ReportRun]) -> Row:
 
 
 def dose_rows(study: Study) -> list[Row]:
-    """What each method did during training, from the trainer's counts; none without counts."""
+    """Return the dose of each method from the trainer's counts; no rows without counts."""
     rows: list[Row] = []
     for scene in study.scenes:
         for method in study.methods:
@@ -390,7 +392,7 @@ def folder_target(study: Study, run: ReportRun) -> str:
 
 
 def run_link(study: Study, run: ReportRun, text: str, names: Sequence[str]) -> Link | None:
-    """To the first of these files that is in the run's folder; None if the report links no runs."""
+    """Link to the first of these files in the run's folder; None if the report has no links."""
     there = [name for name in names if is_file(run.run.run_dir / name)] if study.linked else []
     return Link(text, folder_target(study, run) + there[0]) if there else None
 

@@ -1,8 +1,8 @@
 """`trainer.seconds`: as many steps as fit into a time, chosen before the training starts.
 
 A short training of the same kind, with growth and pseudo views in proportion, measures the time of
-a step. The choice is kept in the run's folder for an interrupted run, and in the record: the same
-steps give the same bits on any machine, the same seconds do not.
+a step. The run's folder and its record keep the choice, because the same steps give the same bits
+on any machine, and the same seconds do not.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ Trial = Callable[[TrainerOptions], float]
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for `seconds`.
+    """The training that fits into `seconds`.
 
     Attributes:
-        step_s: of a step before the second camera, as measured.
+        step_s: measured seconds of a step without the second camera.
     """
 
     identity: str
@@ -63,7 +63,7 @@ class Choice:
 
     @property
     def record(self) -> dict[str, Any]:
-        """For the record."""
+        """Return the values for the run's record."""
         return {
             "seconds": self.seconds,
             "step_s": self.step_s,

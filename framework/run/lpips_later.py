@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 
 def lacks_lpips(record: RunRecord, network: Lpips | None) -> bool:
-    """Whether `network` can measure what `record` lacks for want of weights."""
+    """Whether `network` can measure the LPIPS that `record` lacks because weights were missing."""
     return network is not None and record.summary.get("lpips") == NO_LPIPS
 
 
 def with_lpips(run_dir: Path, record: RunRecord, network: Lpips | None) -> RunRecord:
-    """The complete `record` in `run_dir` with LPIPS, and so written; call it within the run's lock.
+    """Add LPIPS to the complete `record` in `run_dir`; the caller holds the run's lock.
 
-    The record comes last: a process killed before leaves it as it was, to be done again.
+    The record is written last, so a process killed before that leaves the old one.
 
     Raises:
         UserError: where the run's files are missing or damaged.

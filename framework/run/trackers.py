@@ -36,11 +36,11 @@ MOST_PARAMS = 100  # that MLflow takes at once (its REST API, runs/log-batch)
 
 @dataclass(frozen=True)
 class Tracked:
-    """What a tracker gets of a run.
+    """The data of a run for a tracker.
 
     Attributes:
-        study, name: of its folder.
-        folder: for files of the tracker, there already.
+        study, name: names of the run's study and folder.
+        folder: existing folder for files of the tracker.
         options: by full name (`trainer.steps`), None as "null".
         rows: (finished steps, name -> finite value), in order; names are the columns of
             `history.csv`, as `loss`, `test_psnr`, `log/...`.
@@ -175,7 +175,7 @@ def _send_once(tracker: str, run_dir: Path) -> None:
 
 
 def tracked(run: Run) -> Tracked:
-    """What a tracker gets of a complete run that was read back."""
+    """Return the tracker's data of a completed run."""
     record, columns = run.record, run.history.numbers
     values = {name: column for name, column in columns.items() if name != "step"}
     rows = tuple(

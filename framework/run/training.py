@@ -49,10 +49,10 @@ DIVERGING = threading.Lock()  # members may diverge at the same time, into one f
 
 @dataclass(frozen=True)
 class Run:
-    """What all trainings of a run share.
+    """Inputs of all trainings of a run.
 
     Attributes:
-        scene: with evened exposures if `exposures` is given.
+        scene: the scene, with equalized exposures if `exposures` is given.
         start: makes the initial Gaussians for a seed.
         force: ignore checkpoints in `folder`.
     """
@@ -93,8 +93,8 @@ class Part:
     student's.
 
     Attributes:
-        name: of its checkpoints' folder.
-        kept: the state of its newest checkpoint, None for a new training.
+        name: name of its checkpoint folder.
+        kept: state of its newest checkpoint; None for a new training.
     """
 
     def __init__(

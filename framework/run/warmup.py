@@ -46,9 +46,10 @@ class Warmup:
     """The warm-up of one configuration; does nothing a second time in a process.
 
     Enter it as early as possible, call `begin()` before anything is timed and `finish()` before the
-    training. `begin` compiles kernels that were never compiled. Compiled ones are loaded: those of
-    the depth provider by `begin`, the rest by a thread until `finish`, since loading is work of the
-    interpreter and depth is work of kernels. So the time of a process's first depth includes it.
+    training. `begin` compiles kernels that were never compiled. Compiled kernels are loaded: those
+    of the depth provider by `begin`, the rest in a thread until `finish`. Loading occupies the
+    interpreter, depth the kernels, so they overlap. So the time of a process's first depth includes
+    it.
     """
 
     def __init__(self, config: Mapping[str, Any], progress: Progress) -> None:

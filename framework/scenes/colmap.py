@@ -48,7 +48,7 @@ class Colmap(FolderScene):
 
 @dataclass(frozen=True)
 class Mip360(Colmap):
-    """Options of `scene=mip360`."""
+    """The Mip-NeRF 360 data set, photos at an eighth of their size where they exist."""
 
     layout: ClassVar[str] = "mip360"
 

@@ -55,7 +55,7 @@ class Lens:
 def distorted_pixels(
     height: int, width: int, K: NDArray[np.float64], lens: Distortion
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Where a pinhole's pixels are in the stored photo.
+    """Map the pixels of a pinhole camera to the stored, distorted photo.
 
     Returns:
         u, v: [H, W] in pixels with centres at +0.5; and whether the radial model is monotonic

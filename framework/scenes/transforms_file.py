@@ -145,7 +145,7 @@ def with_photos(path: Path, frames: Sequence[Frame]) -> dict[int, Frame]:
 
 @dataclass(frozen=True)
 class Extras:
-    """What nerfstudio adds about points.
+    """nerfstudio's fields about points.
 
     Attributes:
         ply: the file of `ply_file_path`.

@@ -58,11 +58,11 @@ class DropoutRegularizer(Regularizer, ABC):
 
     @abstractmethod
     def expected_factors(self, ctx: StepContext, state: Any) -> Tensor | float:
-        """What a training render multiplies opacities by in expectation, without `compensate`: [N],
-        or one for all."""
+        """Return the expected opacity factors of a training render without `compensate`: [N] or one
+        number."""
 
     def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: Any) -> Gaussians:
-        """With `scale_tested` as dim as training renders are in expectation."""
+        """With `scale_tested`, scale opacities to the expectation of training renders."""
         if not self.scale_tested:
             return gaussians
         return dimmed(gaussians, self.expected_factors(ctx, state))

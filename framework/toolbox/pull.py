@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pull:
-    """What was measured since the set changed last.
+    """Gradient statistics since Gaussians were last added or pruned.
 
     Attributes:
         total: [N] float32, summed gradient norms in NDC.

@@ -105,7 +105,7 @@ class RoundsCapacity(PullCapacity):
         return most_gaussians(size, ctx.gaussians.sh_degree) if size else None
 
     def selected(self, ctx: StepContext, information: TrainingInformation) -> Selection:
-        """What a round keeps and splits, given what the training views know."""
+        """Select the Gaussians that a round keeps and splits, from the views' information."""
         raise NotImplementedError
 
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:

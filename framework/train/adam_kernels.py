@@ -26,7 +26,7 @@ def _adam_range(p, g, m, v, rate, correction):
     how many p or v are not finite now.
 
     rate = learning rate / (1 - beta1^t), correction = 1 / sqrt(1 - beta2^t). A first moment below
-    1e-30 becomes 0: it moves a parameter by less than 1e-15 rates, and decaying moments of unseen
+    1e-30 becomes 0, since it moves a parameter by less than 1e-15 rates. Decaying moments of unseen
     Gaussians would otherwise end as denormals, which cost six times as much.
     """
     beta1, beta2 = np.float32(BETA1), np.float32(BETA2)

@@ -1,14 +1,13 @@
 """Priors on depth: smoothness, and agreement with a second camera.
 
 Smoothness penalises steps of the disparity where the photo is smooth (Godard et al. 2017, eq. 3).
-With few photos half of a test view may be seen by one photo alone, or have no texture; there
-Gaussians can be at any depth that gives the photo its colours. The prior also holds outside a
-mask's pixels, where surfaces continue.
+With few photos, half of a test view may be visible in a single photo or have no texture. There,
+Gaussians at any depth can reproduce the photo. The prior also holds outside a mask's pixels, where
+surfaces continue.
 
-The second camera (Binocular-Guided 3DGS, Han et al. 2024) needs no photo: rendered from beside the
-photo and moved back by the depth, Gaussians at a wrong depth are in the wrong place. It counts
-where both renders show the same surface. docs/decisions.md explains how the constants were
-chosen.
+The second camera (Binocular-Guided 3DGS, Han et al. 2024) needs no photo. Its render is warped back
+by the depth, so Gaussians at a wrong depth end up in the wrong place. It counts where both renders
+show the same surface. docs/decisions.md explains how the constants were chosen.
 """
 
 from dataclasses import dataclass
@@ -41,8 +40,9 @@ class DepthSmoothness:
     spacing: float
 
     def weights(self, view: View) -> Tensor:
-        """Return the weights [2, H, W] float32 of the steps of a render's inverse depth towards the
-        right and the lower neighbour: exp(-10 mean |step of the photo|), 0 over the frame's edge.
+        """Return the smoothness weights [2, H, W] float32 for steps of inverse depth to the right
+        and lower neighbour. They are exp(-10 mean |step of the photo|), and 0 across the image
+        border.
         """
         photo = view.image.numpy().astype(np.float64)
         weights = np.zeros((2, *photo.shape[1:]))

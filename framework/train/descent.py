@@ -22,7 +22,7 @@ TINY = 1e-30  # an opacity that has a logit
 
 @dataclass(frozen=True)
 class Regularization:
-    """What regularizers contribute to an update; nothing by default.
+    """Contribution of the regularizers to an update; nothing by default.
 
     Attributes:
         factors: [N], multiply the opacities.
@@ -51,7 +51,7 @@ class Fading:
 
 @dataclass(frozen=True)
 class Update:
-    """What an update does.
+    """Settings of an update.
 
     Attributes:
         rates: learning rate of every tensor.

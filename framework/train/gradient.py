@@ -195,7 +195,7 @@ def step_stats(
     rendering: Rendering,
     absolute: Tensor | None = None,
 ) -> StepStats:
-    """What capacity plugins see of a view's render and gradient."""
+    """Return the statistics of a view's render and gradient for capacity plugins."""
     return StepStats(
         means2d,
         radii,

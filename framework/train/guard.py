@@ -58,8 +58,8 @@ def diverged(names: tuple[str, ...], where: str, gaussians: Gaussians, adam: Ada
     """The error of a step that left the tensors `names` (parameters or moments) not finite.
 
     Args:
-        gaussians, adam: after the step. Gradients are not kept, but recognised by the moments. An
-            infinite gradient makes the first moment infinite, NaN makes the second NaN.
+        gaussians, adam: state after the step. The moments show the gradient: an infinite one makes
+            the first moment infinite, NaN makes the second NaN.
     """
     name = names[0]
     first, second = getattr(adam.first, name), getattr(adam.second, name)

@@ -18,7 +18,7 @@ Names = tuple[str, ...]
 
 @dataclass(frozen=True)
 class AdamState:
-    """All that Adam remembers.
+    """State of Adam.
 
     Attributes:
         first, second: the moments, shaped like the parameters, float32.
@@ -42,9 +42,9 @@ class Optimizer(ABC):
 
     @abstractmethod
     def step(self, params: Gaussians, grads: Grads, rates: Rates, decay: float = 1.0) -> Names:
-        """Update `params` in place, then multiply the activated opacities by `decay` in (0, 1];
-        returns the names of tensors with a value or a second moment that is not finite now,
-        which a gradient that is not finite always causes.
+        """Update `params` in place, then multiply the activated opacities by `decay` in (0, 1].
+        Returns the names of tensors with non-finite values or second moments, which every
+        non-finite gradient causes.
 
         Args:
             grads: by tensor name, shaped like the parameters; a tensor without one (None or
@@ -79,8 +79,8 @@ class Optimizer(ABC):
         getattr(self._second, name).zero_()
 
     def state(self) -> AdamState:
-        """What a checkpoint holds, on the CPU; there, the optimizer's own tensors, which its next
-        step changes."""
+        """Return the state on the CPU. It shares the optimizer's tensors there, which the next step
+        changes."""
         return AdamState(self._first.to("cpu"), self._second.to("cpu"), tuple(self._steps.values()))
 
     def load(self, state: AdamState) -> None:

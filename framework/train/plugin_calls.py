@@ -86,7 +86,7 @@ class PluginCalls:
     """The plugins of one field of a training.
 
     Attributes:
-        logged: what they logged since it was last cleared.
+        logged: values that the plugins logged since the last clearing.
         gradients: parameters whose gradient a capacity requests.
         absolute: whether a capacity requests absolute gradients.
     """

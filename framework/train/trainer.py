@@ -1,10 +1,10 @@
 """The shared trainer: all methods of a study run this loop with the same options.
 
-A training step picks the epoch's next view, renders it with the regularizers' opacity factors,
-takes the gradient of the photometric loss and the regularizers' terms, takes a step of Adam and
-lets the capacity plugins edit the set of Gaussians. At the start of an epoch the augmenter may add
-pseudo views. Each joins the step of one real view and adds its weighted loss, or has its own update
-before that step (`trainer.pseudo_steps`).
+A training step renders the epoch's next view with the regularizers' opacity factors. It takes the
+gradient of the photometric loss and of the regularizers' terms, and a step of Adam. Then the
+capacity plugins edit the set of Gaussians. At the start of an epoch the augmenter may add pseudo
+views. Each joins the step of one real view and adds its weighted loss, or has its own update before
+that step (`trainer.pseudo_steps`).
 
 A step is always one of a real view. So all methods take the same steps on the same real views.
 Everything counted in steps (rates, SH bands, capacity, evaluations) means the same for all. The

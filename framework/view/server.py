@@ -1,8 +1,8 @@
 """Serves one page on this machine; every path but `/` is an error.
 
-The server is bound to 127.0.0.1, so other machines cannot reach it. A web page that is open in a
-browser here could let its name resolve to 127.0.0.1 to read what is served (DNS rebinding), so
-requests with another host name are refused.
+The server is bound to 127.0.0.1, so other machines cannot reach it. Requests with another host name
+are refused. Otherwise a web page whose name resolves to 127.0.0.1 could read what is served (DNS
+rebinding).
 """
 
 import os

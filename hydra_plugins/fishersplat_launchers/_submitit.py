@@ -1,7 +1,7 @@
 """`hydra/launcher=submitit_local` and `submitit_slurm`: workers on this machine or jobs of SLURM.
 
-They differ from Hydra's launchers of these names: a worker does many runs, a lost worker does not
-end the study, and with `hydra.launcher.detach=true` (`study submit`) the command does not wait.
+They differ from Hydra's launchers of these names. A worker does many runs, and a lost worker does
+not end the study. With `hydra.launcher.detach=true` (`study submit`) the command does not wait.
 """
 
 from __future__ import annotations

@@ -235,7 +235,7 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
     precision = information.diagonal.double().numpy() * prior / noise
     root = np.sqrt(prior[:6])
     block = information.block.double().numpy() * np.outer(root, root) / noise
-    logs = log_det(block + np.eye(6)) + log1p(precision[:, 6:]).sum(1)
+    logs = log_det(block + np.eye(6), least=1.0) + log1p(precision[:, 6:]).sum(1)
     if g.sh_degree > 0:
         higher = information.diagonal[: len(g.shN), SH0:].double().numpy() / noise
         each = log1p(higher * prior_variance(g)).sum(1)

@@ -177,7 +177,7 @@ class At(NamedTuple):
     there: np.ndarray
 
     def only(self, chosen: np.ndarray) -> At:
-        """Those of the indices `chosen`."""
+        """Select by the indices `chosen`."""
         return At(self.photo, self.row[chosen], self.column[chosen], self.there[chosen])
 
 

@@ -2,8 +2,8 @@
 
 Its tensors hold their numbers in the CPU's memory but say that they are on `DEVICE`. As on CUDA:
 an operation takes tensors of one device, scalars of the CPU aside and a CPU's index of what is
-indexed; `copy_` and `to` go across, NumPy does not. So a tensor that a training leaves behind, or a
-constant that is made on the CPU in the middle of a loss, is an error here as it would be there.
+indexed; `copy_` and `to` go across, NumPy does not. A tensor that a training leaves behind, or a
+constant created on the CPU inside a loss, is therefore an error, as on CUDA.
 """
 
 from __future__ import annotations

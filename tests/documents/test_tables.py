@@ -59,5 +59,6 @@ def test_options_of_a_study_replace_those_of_its_scene(results) -> None:  # type
 
 def test_a_committed_report_links_to_nothing_absent(results, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "kept.png").touch()
-    page = "![a](kept.png)\n\n![b](gone.png)\n\nA chart. [SVG](gone.svg) [CSV](gone.csv)\n"
-    assert results.without_absent(page, tmp_path) == "![a](kept.png)\n\nA chart.\n"
+    chart = "![a](kept.png)\n\nA chart.{}\n\n"
+    page = chart.format(" [SVG](gone.svg) [CSV](gone.csv)") + "![b](gone.png)\n\nGone.\n\nText.\n"
+    assert results.without_absent(page, tmp_path) == chart.format("") + "Text.\n"

@@ -1,7 +1,7 @@
 """The kernels (float32) against the reference (float64) on 20 random, 4 crowded and 2 wide scenes.
 
-Pixels that come within a relative BAND of a blending threshold are left out, in the image and in
-the loss whose gradient is compared: there the two may lawfully decide differently.
+Pixels within a relative BAND of a blending threshold are left out of the image and of the loss,
+because there the two may decide differently.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Whose focal length the search for poses takes, and when it stops early."""
+"""The focal length that the search for poses uses, and when it stops early."""
 
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,5 +1,5 @@
-"""A study survives what happens around it: when the command was given again until it ended well,
-the study equals the undisturbed one, and no result is gone or was written twice.
+"""A study survives disturbances: after its command is repeated until it succeeds, it equals the
+undisturbed study. No result is lost or written twice.
 """
 
 import contextlib

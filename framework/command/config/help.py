@@ -123,7 +123,7 @@ def _names(group: str) -> list[str]:
 def _group_lines(group: str, names: Sequence[str]) -> Iterator[str]:
     yield f"\n  {group}"
     for name in names:
-        yield f"    {name:<20}{summary(group, name)}".rstrip()
+        yield f"    {name:<19} {summary(group, name)}".rstrip()
 
 
 def summary(group: str, name: str) -> str:

@@ -50,9 +50,9 @@ class Submission:
 
     Attributes:
         cluster: "local" or "slurm".
-        runs: in the order of the command.
-        jobs: the ids of the workers.
-        detached: whether it outlives its command, so that a worker builds the reports.
+        runs: the runs in the order of the command.
+        jobs: the job ids of the workers.
+        detached: whether the command does not wait, so that a worker builds the reports.
     """
 
     folder: Path
@@ -89,7 +89,7 @@ class Submission:
         return sum(not outcome.busy for outcome in self.ended().values()) == len(self.runs)
 
     def job_states(self) -> Counter[str]:
-        """How many jobs are in each of submitit's states."""
+        """Count the jobs in each of submitit's states."""
         return Counter(self._state(job) for job in self._jobs())
 
     def cancel(self) -> None:

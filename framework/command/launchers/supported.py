@@ -81,7 +81,7 @@ def register_launchers() -> None:
 
 
 def missing_extra(name: str) -> str | None:
-    """Which of the project's extras a launcher lacks here; None if none."""
+    """Return the missing extra of this project that a launcher needs, or None."""
     launcher = LAUNCHERS.get(name)
     return (
         launcher.extra if launcher and launcher.extra and not _installed(launcher.needs) else None

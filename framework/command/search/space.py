@@ -57,7 +57,7 @@ class Dimension:
         return f"{self.key}={int(self.low) if self.whole else self.low}"
 
     def plain(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """Return the value for JSON."""
         return {**asdict(self), "choices": list(self.choices)}
 
 

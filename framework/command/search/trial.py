@@ -25,7 +25,7 @@ class Result:
     """Result of one run.
 
     Attributes:
-        value: of the metric; None with the reason in `error`.
+        value: value of the metric; None if the run failed, with the reason in `error`.
         train_s: CPU seconds.
     """
 

@@ -101,7 +101,7 @@ def outcomes() -> list[Outcome]:
 
 
 def read_outcomes(folder: Path) -> list[Outcome]:
-    """Those in a folder, in the order of its files."""
+    """Read the outcomes in a folder, in the order of its files."""
     return [Outcome(**json.loads(path.read_bytes())) for path in sorted(folder.glob("*.json"))]
 
 

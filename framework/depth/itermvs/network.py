@@ -2,9 +2,9 @@
 
 The network normalises inverse depth to [0, 1], 0 at the farthest and 1 at the nearest depth. It
 matches features of a reference view with those of its neighbours at 32 depths, initialises a hidden
-state from the matching costs, and refines depth with a GRU: each iteration matches ten depths
-around the current one on three pyramid levels, and reads depth and confidence from the new state.
-A convex combination of neighbours upsamples the result by 4.
+state from the costs, and refines depth with a GRU. Each iteration matches ten depths around the
+current one on three pyramid levels. The new state gives depth and confidence. A convex combination
+of neighbours upsamples the result by 4.
 
 Photos are [3, H, W] in [-1, 1] with sides that are multiples of 32; level l is 2^l times smaller.
 Pixel coordinates are indices, as in the reference implementation: K is not shifted by half a pixel.
@@ -37,7 +37,7 @@ class Posed:
     """Features of a photo with its camera.
 
     Attributes:
-        features: of `IterMvs.features`.
+        features: result of `IterMvs.features`.
         K: [3, 3] float64, intrinsics in pixels of the photo.
         viewmat: [4, 4] float64, world to camera.
     """
@@ -216,7 +216,7 @@ class IterMvs:
 
 @dataclass(frozen=True)
 class _InverseDepth:
-    """The range of inverse depth that [0, 1] stands for."""
+    """The range of inverse depth that [0, 1] represents."""
 
     near: float
     far: float

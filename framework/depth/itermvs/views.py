@@ -102,8 +102,8 @@ def _network(weights: str) -> IterMvs:
 def _posed(network: IterMvs, view: View) -> Posed:
     """The view's features; its photo is resized to sides that the network accepts.
 
-    Small photos are enlarged: with a longer side of 189 to 252 pixels, 25 to 85 % of the depths at
-    structure-from-motion points are within 1 %, with 448 it is 41 to 89 %.
+    Small photos are enlarged. Of the depths at structure-from-motion points, 25 to 85 % are within
+    1 % with a longer side of 189 to 252 pixels, and 41 to 89 % with 448.
     """
     torch.set_num_threads(1)  # of this thread: other numbers of threads give other bits
     height, width = view.image.shape[1:]

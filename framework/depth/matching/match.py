@@ -1,6 +1,6 @@
 """Matching cost of a plane sweep: one minus ZNCC, kernel.
 
-Costs are int16 in units of 1/`COST_ONE` (0 = perfect, `COST_ONE` = uncorrelated or worse): integer
+Costs are int16 in units of 1/`COST_ONE` (0 = perfect, `COST_ONE` = uncorrelated or worse). Integer
 minima vectorise under strict IEEE rules, and a cost volume takes half the memory of float32. Its
 layout is [H, D, W]: matching and vertical aggregation run along x, the innermost axis.
 

@@ -48,8 +48,8 @@ def depth_order(rows, bound, keys, spare, order, start):
 
     Their indices go into order[:n], and the prefix sums of bound in that order into start[:n + 1].
     It is a stable radix sort of the float bits, since depths are positive. keys and spare are
-    uint64 scratch of the same length: keys next to their indices are read in sequence, while rows
-    would cause cache misses.
+    uint64 scratch of the same length. Keys next to their indices are read in sequence; rows would
+    cause cache misses.
 
     Returns:
         n and the sum of bound; start can hold sums below 2^31.

@@ -12,19 +12,19 @@ from framework.errors import require
 from framework.files.whole import write_whole
 from framework.records.run_files import ERROR_SCALE
 from framework.report.figures.chart import Picture
-from framework.report.figures.grid import COLUMNS, Cell, draw_grid
+from framework.report.figures.grid import Cell, draw_grid
 from framework.report.figures.views import choose_views, image_file, picture, psnr_text
 from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import listed, outside
 
 CLOSEUP = "closeup"  # begins the names of pictures
 SHARE = 4  # of the width and height that a crop takes: one part in so many
-BESIDE = COLUMNS - 1  # methods in a row, after the ground truth
 
 
 def draw_closeup(study: Study, scene: str) -> Picture | None:
-    """Ground truth, render, crop and error map of one test view for every method; None without a
-    view that all have."""
+    """Draw ground truth, render, crop and error map of one test view for every method.
+
+    Returns None if the methods have no test view in common."""
     shown = choose_views(study, scene)
     if not shown.views:
         return None
@@ -36,8 +36,9 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
     window = _window(renders if len(renders) > 1 else [truth, *renders])
     names = [f"{run.method}\n{psnr_text(run, view)}" for run in shown.runs]
     rows = []
-    for k in range(0, len(names), BESIDE):
-        part = slice(k, k + BESIDE)
+    per_row = 3 if len(names) == 3 else 2
+    for k in range(0, len(names), per_row):
+        part = slice(k, k + per_row)
         pictures = [truth, *renders[part]]
         titles = ["ground truth", *names[part]]
         rows += [

@@ -48,7 +48,7 @@ class FailureRate:
 
 
 def worst_case(runs: Sequence[ReportRun]) -> WorstCase | None:
-    """None where no view of these runs has a finite PSNR."""
+    """Find the view with the lowest PSNR; None if no view of these runs has a finite PSNR."""
     views = [
         (psnr, run.seed, view)
         for run in runs

@@ -121,7 +121,7 @@ def compare_sigmas(
 
 
 def sigmas_corrected(comparisons: Mapping[M, SigmaComparison]) -> dict[M, SigmaComparison]:
-    """With p of a test that is one of all of these."""
+    """Correct the p values for the number of comparisons."""
     return {method: replace(c, tests=len(comparisons)) for method, c in comparisons.items()}
 
 
@@ -171,7 +171,7 @@ def power(ratio: float, n: int, other_n: int, tests: int = 1) -> float:
 
 @functools.cache
 def paired_power(ratio: float, rho: float, n: int, tests: int = 1) -> float:
-    """How often the paired test finds this ratio with n pairs that are correlated by rho."""
+    """Return the power of the paired test for this ratio, n pairs and correlation rho."""
     mixed = math.sqrt(max((ratio**2 + 1) ** 2 - 4 * (rho * ratio) ** 2, 1e-12))
     c = (ratio**2 - 1) / mixed
     differences, rest = _pairs(n)

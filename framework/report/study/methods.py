@@ -41,8 +41,8 @@ WATCHING = ("trainer.evaluations",)  # changes what is recorded, not the result
 SETS_MANY = ("preset", "sweep")  # one word of a command line that sets many options
 PLAIN_RECIPE = "baseline"
 RECIPE_NOTE = (
-    "Methods are named by their recipes; what each sets is in `conf/method/NAME.yaml`, and where a"
-    " data set needs other values in `conf/for_scene/`."
+    "Methods are named by their recipes (`conf/method/NAME.yaml`, with values for single data sets"
+    " in `conf/for_scene/`)."
 )
 
 

@@ -65,7 +65,7 @@ def title(group: str, name: str) -> str:
 
 
 def summary(group: str, name: str) -> str:
-    """One line on a plugin: the first sentence of its file, without its name; "" if it has none."""
+    """Return the first sentence of a plugin's file, without its name; "" if it has none."""
     cls = plugin(group, name)
     text = (sys.modules[cls.__module__].__doc__ or "") if cls else ""
     start, _, rest = text.partition("`: ")
@@ -73,7 +73,7 @@ def summary(group: str, name: str) -> str:
 
 
 def papers(group: str, name: str) -> list[str]:
-    """What to cite for each plugin of a choice: files of `conf/published` or BibTeX entries."""
+    """Return the citations of a choice's plugins: files of `conf/published` or BibTeX entries."""
     return [paper for one in described(group, name) if (paper := getattr(one, "paper", ""))]
 
 

@@ -74,10 +74,11 @@ def by_recipe() -> dict[str, Published]:
 
 def recipe_title(recipe: str) -> str:
     """The display name of a recipe, as "CoR-GS (plane sweep)"; its own name if it has no other."""
+    titles = {entry.name: entry.title for entry in literature()}
     for suffix, text in ((SWEPT, " (plane sweep)"), (IDEA, " (idea alone)"), ("", "")):
         name = recipe.removesuffix(suffix)
-        if recipe.endswith(suffix) and name in by_recipe():
-            return f"{by_recipe()[name].title}{text}"
+        if recipe.endswith(suffix) and name in titles:
+            return f"{titles[name]}{text}"
     return recipe
 
 

@@ -127,7 +127,7 @@ def role(name: str) -> str:
 
 
 def marked(label: str, name: str) -> str:
-    """A scene's label, with `MARK` if it chose defaults."""
+    """Return the scene's label, with `MARK` if this project's defaults were chosen on it."""
     return f"{label} {MARK}" if role(name) == CHOSE else label
 
 

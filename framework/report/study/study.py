@@ -200,8 +200,8 @@ class Study:
 
     @property
     def baseline(self) -> Method:
-        """What the others are compared with: the `rival`, else plain training if it ran, else the
-        first by name."""
+        """The method that others are compared with: `rival`, else training without a method, else
+        the first by name."""
         return self.methods[0]
 
     @cached_property
@@ -251,7 +251,7 @@ class Study:
 
     @cached_property
     def baselines(self) -> list[Method]:
-        """What methods are compared with, each once."""
+        """The baselines of all methods, without repeats."""
         pairs = {PLAIN, self.baseline.pair} if self.runs else set()
         bases = dict.fromkeys(map(self.baseline_of, self.methods))
         return [base for base in bases if base.pair in pairs]
@@ -286,7 +286,7 @@ class Study:
         return next(run.scene_label.name for run in self.runs if run.scene == scene)
 
     def counted(self, scenes: Sequence[str]) -> str:
-        """How many: `5 scenes`, `6 conditions of 5 scenes` or `3 conditions of fern`."""
+        """Format a count: `5 scenes`, `6 conditions of 5 scenes` or `3 conditions of fern`."""
         names = list(dict.fromkeys(map(self.name_of, scenes)))
         if len(names) == len(scenes):
             return f"{len(scenes)} scenes"

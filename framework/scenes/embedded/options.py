@@ -9,7 +9,7 @@ from framework.scenes.layout import check_n_views
 
 @dataclass(frozen=True)
 class EmbeddedOptions:
-    """Of `scene=embedded`."""
+    """Options of `scene=embedded`."""
 
     n_views: int = 3  # training views
     width: int = 320  # pixels

@@ -35,7 +35,7 @@ Computed = TypeVar("Computed")
 
 @dataclass(frozen=True)
 class Features:
-    """Of one photo.
+    """Features of one photo.
 
     Attributes:
         keypoints: [n, 2] x, y in pixels of the image that the network saw; the centre of the first

@@ -4,8 +4,8 @@ The first step uses COLMAP's usual features. If photos are left over, later step
 features and a second, guided matching along the geometry of the first. The last step also uses
 descriptors that do not depend on the view's slant (affine shape, domain-size pooling), which is
 slow. With `scene.matching=learned` a step with features and matches of networks comes first. Each
-step tries COLMAP's usual thresholds, and lower ones if photos are left over: a few
-photos with few features cannot reach the hundreds of matches that the usual ones require.
+step tries COLMAP's usual thresholds, and lower ones if photos are left over. A few photos with few
+features cannot reach the hundreds of matches that the usual thresholds require.
 """
 
 from dataclasses import dataclass

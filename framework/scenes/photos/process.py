@@ -161,7 +161,7 @@ class Messages:
         self._send({"error": text})
 
     def counter(self, what: str) -> Callable[[int, int], None]:
-        """A function of (done, total) that sends both and the time left."""
+        """Return a function of (done, total) that reports them with the time left."""
         started = time.monotonic()
 
         def count(done: int, total: int) -> None:

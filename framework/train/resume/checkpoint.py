@@ -1,9 +1,9 @@
 """Checkpoints of a run: `checkpoints/step-<finished steps>-<32 hex digits>.safetensors`.
 
 The digits are of the SHA-256 of the file's bytes, so one rename makes file and checksum appear
-together. safetensors files hold tensors and texts and nothing executable; the tree of values is
-JSON in their metadata, see `framework.files.tree`. Two are kept: a damaged one is detected by its
-name, and the previous one is used. A checkpoint belongs to one run identity.
+together. safetensors files hold tensors and texts, nothing executable. The tree of values is JSON
+in their metadata, see `framework.files.tree`. Two are kept: a damaged one is detected by its name,
+and the previous one is used. A checkpoint belongs to one run identity.
 
 The next one is due after 75 times the cost of the last one, so they take less than 2 % of a long
 training. The cost of the first is estimated. Checkpoints change no result.

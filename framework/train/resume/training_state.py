@@ -132,7 +132,7 @@ class TrainerState:
 
 
 class Keeper(Protocol):
-    """Who keeps the states that a training offers after its steps."""
+    """Saves the states that a training offers after its steps."""
 
     def due(self) -> bool:
         """Whether to keep one now."""
