@@ -308,21 +308,3 @@ def test_a_second_field_of_its_own_draw(caplog: pytest.LogCaptureFixture) -> Non
     for drawn in (False, True):
         reg = registry.build("reg", {"name": "co_register", "second_drawn": drawn})
         assert plugins(reg=reg).second_drawn is drawn
-
-
-def test_a_plugin_says_what_its_second_field_begins_with(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a type, as CONTRIBUTING has it: it is no option then."""
-    monkeypatch.setattr(registry, "_classes", {g: {**t} for g, t in registry._classes.items()})
-
-    @registry.register("reg", "drawn")
-    @dataclass(frozen=True)
-    class Drawn(Regularizer):
-        second_field = True
-        second_drawn = True
-        loss = Pair.loss
-
-    reg = registry.build("reg", {"name": "drawn"})
-    both = plugins(reg=reg)
-    assert both.second_field and both.second_drawn
-    with pytest.raises(UserError, match="second_drawn"):
-        registry.build("reg", {"name": "drawn", "second_drawn": False})
