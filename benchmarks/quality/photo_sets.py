@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -111,6 +112,24 @@ def table(rows: pd.DataFrame) -> str:
     return "\n".join(lines) + "\n"
 
 
+def comparison(rows: pd.DataFrame) -> str:
+    """All sets together, with the exact sign test of those that only one matching places."""
+    correct = rows.assign(correct=rows.apply(is_correct, axis=1)).pivot(
+        index=["scene", "photos", "number"], columns="matching", values="correct"
+    )
+    sift, learned = correct[SIFT].astype(bool), correct[LEARNED].astype(bool)
+    only = [int((sift & ~learned).sum()), int((learned & ~sift).sum())]
+    p = binomtest(only[0], sum(only)).pvalue if sum(only) else 1.0
+    misplaced = rows[(rows.placed == rows.photos) & ~rows.apply(is_correct, axis=1)]
+    wrong = misplaced.matching.value_counts()
+    return (
+        f"Of {len(correct)} sets SIFT places {sift.sum()} correctly and the networks"
+        f" {learned.sum()}: {only[0]} sets only SIFT, {only[1]} only the networks (exact sign test,"
+        f" p = {p:.2g}). Sets placed completely but wrongly: {wrong.get(SIFT, 0)} with SIFT,"
+        f" {wrong.get(LEARNED, 0)} with the networks.\n"
+    )
+
+
 def main() -> None:
     """Search all sets, print the table and write it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
@@ -140,8 +159,11 @@ def main() -> None:
         print(table(pd.DataFrame(rows)), flush=True)
     if options.output is not None:
         command = "`python benchmarks/quality/photo_sets.py DATA`"
-        text = f"# Small sets of photos placed correctly\n\n{command} on {cpu_model()}.\n\n"
-        options.output.write_text(text + table(pd.DataFrame(rows)), encoding="utf-8")
+        text = f"# Small sets of photos placed correctly\n\n{command} on {cpu_model()}. "
+        text += f"{SETS} random sets each; correct: all photos within {DEGREES:g} degrees and"
+        text += f" {PERCENT:g} % of the cameras' extent.\n\n"
+        text += f"{table(pd.DataFrame(rows))}\n{comparison(pd.DataFrame(rows))}"
+        options.output.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
