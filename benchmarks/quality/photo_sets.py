@@ -47,7 +47,7 @@ SIZES, SETS = (3, 4, 5), 10
 DEGREES, PERCENT = 2.0, 5.0
 
 
-def known(folder: Path) -> Cameras:
+def known_cameras(folder: Path) -> Cameras:
     """The known cameras of a scene, by the photos' names."""
     if not (folder / "poses_bounds.npy").is_file():
         return cameras(folder / "sparse" / "0")
@@ -70,20 +70,20 @@ def draws(names: list[str], scene: str, size: int) -> list[list[str]]:
 def searched(folder: Path, names: list[str], reference: Cameras, matching: str) -> dict[str, Any]:
     """Search for the poses of these photos and compare them with the known ones."""
     with tempfile.TemporaryDirectory() as work:
-        photos, found = Path(work, "photos"), Path(work, "found")
+        photos, poses = Path(work, "photos"), Path(work, "poses")
         photos.mkdir()
-        found.mkdir()
+        poses.mkdir()
         for name in names:
             shutil.copyfile(folder / "images" / name, photos / name)
         before = children_s()
         try:
-            run_child(find_source(str(photos), side=1200, frames=40, matching=matching), found)
+            run_child(find_source(str(photos), side=1200, frames=40, matching=matching), poses)
         except UserError as error:
             if "its process ended" in str(error):  # a defect, not photos that do not fit
                 raise
             return {"placed": 0, "cpu_s": children_s() - before, "message": str(error)[:200]}
-        result = read_result(found)
-        wrong = errors(cameras(found / "sparse" / "0"), reference)
+        result = read_result(poses)
+        wrong = errors(cameras(poses / "sparse" / "0"), reference)
         return {
             "placed": len(result.placed),
             "cpu_s": children_s() - before,
@@ -142,7 +142,7 @@ def main() -> None:
     rows = [json.loads(line) for line in lines]
     done = {(row["scene"], row["photos"], row["number"], row["matching"]) for row in rows}
     for scene, folder in SCENES.items():
-        reference = known(options.data / folder)
+        reference = known_cameras(options.data / folder)
         names = sorted(
             name for name in reference if (options.data / folder / "images" / name).is_file()
         )

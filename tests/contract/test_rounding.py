@@ -17,7 +17,7 @@ ROUNDED = {
 OURS = {"math", "portable", "tensors", "ctx"}  # ctx.log notes a number
 ACTIVATED = ("gaussians.scales", "gaussians.opacities")  # PyTorch's exponential and sigmoid
 NO_TRAINING = (
-    *("command", "report", "view", "exports", "records", "run/trackers.py"),
+    *("command", "report", "view", "exports", "records", "metrics/winograd.py", "run/trackers.py"),
     *(
         "scenes/photos",
         "scenes/placement.py",

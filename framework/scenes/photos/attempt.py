@@ -42,9 +42,9 @@ def attempt(
     if step.learned:
         from framework.scenes.photos import learned
 
-        found = learned.extract(photos, images, database, threads, messages)
+        seen = learned.extract(photos, images, database, threads, messages)
         marks.append(time.process_time())
-        learned.match(step, found, photos, database, threads, messages)
+        learned.match(step, seen, photos, database, threads, messages)
     else:
         _extract(step, photos, images, database, threads, messages)
         marks.append(time.process_time())

@@ -103,18 +103,20 @@ def match(
                 }
                 for k, one in enumerate(both)
             }
-            found: NDArray[np.uint32] = network(images)["matches"][0].numpy().astype(np.uint32)
-            return found
+            pairs_of_features: NDArray[np.uint32] = (
+                network(images)["matches"][0].numpy().astype(np.uint32)
+            )
+            return pairs_of_features
 
     chosen = pairs(len(photos))
     computed = _in_order(matches, chosen, threads, messages.counter("pairs of photos compared"))
     lines = []
     with pycolmap.Database.open(str(database)) as opened:
         ids = _ids(opened)
-        for (i, j), found in zip(chosen, computed, strict=True):
+        for (i, j), matched in zip(chosen, computed, strict=True):
             first, second = photos[i].stored, photos[j].stored
-            if len(found):
-                opened.write_matches(ids[first], ids[second], found)
+            if len(matched):
+                opened.write_matches(ids[first], ids[second], matched)
                 lines.append(f"{first} {second}")
     if lines:
         listing = database.with_name("pairs.txt")
