@@ -12,9 +12,9 @@ def check_python() -> None:
     lacking = "" if sys.version_info >= (3, 11) else "Python 3.11 or newer"
     lacking = lacking or ", ".join(name for name in NEEDED if find_spec(name) is None)
     if lacking:
-        found = "{} (Python {}.{})".format(sys.executable, *sys.version_info)
+        python = "{} (Python {}.{})".format(sys.executable, *sys.version_info)
         how = "`make setup && . .venv/bin/activate`, or `pip install -e .`"
-        print(f"error: {found} lacks {lacking}: {how} in the project's folder", file=sys.stderr)
+        print(f"error: {python} lacks {lacking}: {how} in the project's folder", file=sys.stderr)
         sys.exit(2)
 
 

@@ -201,11 +201,11 @@ def read_views(training: TrainingSet, options: DepthFileOptions) -> tuple[DepthM
     """See `providers.DepthFile.measure`."""
     files = find_files(training, options)
     depths = [read_view(training, i, file, options) for i, file in enumerate(files)]
-    known = [depth > 0 for depth in depths]
+    masks = [depth > 0 for depth in depths]
     if options.tolerance > 0:
         agreed = confirmed(training, depths, options.tolerance)
-        known = [valid & agrees for valid, agrees in zip(known, agreed, strict=True)]
+        masks = [valid & agrees for valid, agrees in zip(masks, agreed, strict=True)]
     return tuple(
         DepthMap(torch.from_numpy(depth), torch.from_numpy(valid.astype(np.float32)))
-        for depth, valid in zip(depths, known, strict=True)
+        for depth, valid in zip(depths, masks, strict=True)
     )
