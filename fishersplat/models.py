@@ -96,10 +96,8 @@ def train(
     config = configuration(options).values
     import torch
 
-    from framework import registry
     from framework.backends import build_rasterizer
     from framework.compute import parallel
-    from framework.depth import unspoiled
     from framework.depth.exposure import find_exposures
     from framework.options import TrainerOptions
     from framework.records.progress import Silent, Terminal
@@ -109,22 +107,17 @@ def train(
     torch.set_num_threads(1)
     rasterizer, trainer = build_rasterizer(config), TrainerOptions(**config["trainer"])
     rasterizer.ready()
-    given = None if depth is None else tuple(depth)
     try:
         answers.check_scene(scene)
-        if given is not None:
-            answers.check_depth(given, scene.training)
+        if depth is not None:
+            answers.check_depth(tuple(depth), scene.training)
     except ValueError as error:
         raise UserError(f"train: {error}") from None
-    chosen, clean = config["depth"], unspoiled(config["depth"])
-    if given is None:
-        registry.part("depth", chosen).ready()
-    maps = given or preparation.estimated_depth(chosen, scene.training)
-    exposures = None
-    if trainer.exposure:  # as in a run, a stress study does not corrupt the depth for exposures
-        spoiled = given is None and clean != chosen
-        clear = preparation.estimated_depth(clean, scene.training) if spoiled else maps
-        exposures = find_exposures(scene.training.views, clear)
+    if depth is None:
+        maps, clear = _estimated(scene, config["depth"], trainer.exposure)
+    else:
+        maps = clear = tuple(depth)
+    exposures = find_exposures(scene.training.views, clear) if trainer.exposure else None
     evened = preparation.evened(scene, exposures)
 
     def start(seed: int) -> Gaussians:
@@ -135,6 +128,21 @@ def train(
         job = training.Run(evened, maps, start, Path(folder), "", True, rasterizer, exposures)
         trained = training.train(job, training.within_seconds(job, config, progress)[0], progress)
     return Model(trained.gaussians, trained.background, job.near(trainer), _frame(trained.history))
+
+
+def _estimated(
+    scene: Scene, chosen: dict[str, Any], exposure: bool
+) -> tuple[tuple[DepthMap, ...], tuple[DepthMap, ...]]:
+    """The depth of the training views by the options of `depth`, and the depth for exposures, which
+    a stress study does not corrupt."""
+    from framework import registry
+    from framework.depth import unspoiled
+    from framework.run.preparation import estimated_depth
+
+    registry.part("depth", chosen).ready()
+    maps, clean = estimated_depth(chosen, scene.training), unspoiled(chosen)
+    corrupted = exposure and clean != chosen
+    return maps, estimated_depth(clean, scene.training) if corrupted else maps
 
 
 def render(model: Run | Model, camera: Camera) -> Render:

@@ -3,8 +3,9 @@
     python benchmarks/quality/photo_sets.py DATA --output benchmarks/results/photo_sets.md
 
 DATA is the folder of the scenes. The sets are random draws of the photos of a scene with known
-poses. A set is placed correctly if all its photos are, each with a rotation error below 2 degrees
-and a position error below 5 % of the cameras' extent, after the best similarity (see `photos.py`).
+poses. A set is placed correctly if all its photos are. A photo is, if its rotation error is below 2
+degrees and its position error below 5 % of the cameras' extent, after the best similarity (see
+`photos.py`).
 The same sets are searched with `scene.matching=sift` and `learned`, which needs
 `fishersplat fetch matching`. Results are also appended to `--records`, and not computed again.
 """
@@ -123,9 +124,9 @@ def comparison(rows: pd.DataFrame) -> str:
     misplaced = rows[(rows.placed == rows.photos) & ~rows.apply(is_correct, axis=1)]
     wrong = misplaced.matching.value_counts()
     return (
-        f"Of {len(correct)} sets SIFT places {sift.sum()} correctly and the networks"
-        f" {learned.sum()}: {only[0]} sets only SIFT, {only[1]} only the networks (exact sign test,"
-        f" p = {p:.2g}). Sets placed completely but wrongly: {wrong.get(SIFT, 0)} with SIFT,"
+        f"SIFT places {sift.sum()} of {len(correct)} sets correctly, the networks {learned.sum()}."
+        f" Sets that only SIFT places: {only[0]}, only the networks: {only[1]} (exact sign test,"
+        f" p = {p:.2g}). Sets with all photos placed, but wrongly: {wrong.get(SIFT, 0)} with SIFT,"
         f" {wrong.get(LEARNED, 0)} with the networks.\n"
     )
 

@@ -34,8 +34,8 @@ from framework.kernels.tile.tiles import (
     aligned,
     alive_rows,
     blend_limits,
+    blend_row,
     clear_outside,
-    composite,
     first_alphas,
     listed_rows,
     next_run,
@@ -46,7 +46,7 @@ from framework.records.provenance import cpu_model
 
 ONE = np.float32(1)
 LANES, LOOPS, TURNS = 16, 2_000_000, 9
-# operations per lane, read off the kernels: `composite` and the recurrence of alpha; colours, depth
+# operations per lane, read off the kernels: `blend_row` and the recurrence of alpha; colours, depth
 FORWARD_ROW = 7 + 2 + 3 * 2 + 2
 # the same and the gradient along the colour, depth and alpha, rest, slope, pull, moments and sums
 BACKWARD_ROW = 7 + 5 + 5 + 2 + 4 + 2 + 5 + 6 + 3
@@ -99,7 +99,7 @@ def count_work(width, height, rows, offsets, lists, counts):
                 counts[0] += count
                 counts[1] += 1
                 for at in range(row * 16, (row + count) * 16, 16):
-                    _, _, blends, left = composite(load(transmittance, at), raw, limits)
+                    _, _, blends, left = blend_row(load(transmittance, at), raw, limits)
                     store(transmittance, at, left)
                     store(lit, 0, load(lit, 0) + select(blends, splat(ONE), zeros()))
                     raw, ratio = raw * ratio, ratio * bend

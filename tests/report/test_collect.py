@@ -48,9 +48,9 @@ def test_learned_weights_are_a_separate_league(tmp_path: Path) -> None:
     assert "Do not compare" not in first_screen(tmp_path)
     for run_dir in runs:
         _use_learned_weights(run_dir)
-        named = "every method" if run_dir == runs[-1] else "Baseline †"
+        named = "Every method" if run_dir == runs[-1] else "Baseline †"
         text = first_screen(tmp_path)
-        assert f"Depth of {named} comes from a network that was trained on other scenes" in text
+        assert f"{named} used networks that were trained on other scenes" in text
         assert "(marked †): IterMVS, dtu. Do not compare" in text
 
 

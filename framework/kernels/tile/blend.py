@@ -30,9 +30,9 @@ from framework.kernels.tile.tiles import (
     aligned,
     alive_rows,
     blend_limits,
+    blend_row,
     clear_outside,
     colour,
-    composite,
     first_alphas,
     listed_rows,
     next_run,
@@ -59,7 +59,7 @@ def _composite(rows, g, placed, todo, limits, with_depth, tile):
         raw, ratio = first_alphas(placed, lean, row, count)
         for at in range(row * 16, (row + count) * 16, 16):
             t = load(transmittance, at)
-            _, weight, _, left = composite(t, raw, limits)
+            _, weight, _, left = blend_row(t, raw, limits)
             store(transmittance, at, left)
             store(red, at, fma(weight, cr, load(red, at)))
             store(green, at, fma(weight, cg, load(green, at)))
@@ -174,7 +174,7 @@ def _slot_sums(rows, g, placed, todo, limits, colour_alone, tile):
         dy = dy0 + splat(f4(row))
         for at in range(row * 16, (row + count) * 16, 16):
             t = load(transmittance, at)
-            a, weight, goes_on, left = composite(t, raw, limits)
+            a, weight, goes_on, left = blend_row(t, raw, limits)
             store(transmittance, at, left)
             gr, gg, gb = load(gr_, at), load(gg_, at), load(gb_, at)
             along = fma(gr, cr, fma(gg, cg, gb * cb))
@@ -217,7 +217,7 @@ def _slot_pulls(rows, g, placed, todo, limits, tile):
         dy = dy0 + splat(f4(row))
         for at in range(row * 16, (row + count) * 16, 16):
             t = load(transmittance, at)
-            a, weight, goes_on, left = composite(t, raw, limits)
+            a, weight, goes_on, left = blend_row(t, raw, limits)
             store(transmittance, at, left)
             along = fma(load(gr_, at), cr, fma(load(gg_, at), cg, load(gb_, at) * cb))
             rest = fnma(weight, along, load(behind, at))

@@ -28,9 +28,9 @@ from framework.kernels.tile.tiles import (
     aligned,
     alive_rows,
     blend_limits,
+    blend_row,
     clear_outside,
     colour,
-    composite,
     first_alphas,
     listed_rows,
     next_run,
@@ -167,7 +167,7 @@ def blend_moments(strip, n_strips, slots, mixed, strips, rgb, mask, sums, slopes
                 e = line + splat(f4(row))
                 for at in range(row * 16, (row + count) * 16, 16):
                     t = load(transmittance, at)
-                    a, weight, goes_on, left = composite(t, raw, limits)
+                    a, weight, goes_on, left = blend_row(t, raw, limits)
                     store(transmittance, at, left)
                     odds = select(but_not(goes_on, greater(raw, most)), a / (one - a), zeros())
                     sr, sg, sb = load(br, at), load(bg, at), load(bb, at)

@@ -174,7 +174,7 @@ def colour(rows, g):
 
 
 @inlined
-def composite(t, raw, limits):
+def blend_row(t, raw, limits):
     """Composite a Gaussian of alpha `raw` into a pixel of transmittance t.
 
     Args:

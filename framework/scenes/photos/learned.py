@@ -26,7 +26,7 @@ from framework.scenes.photos.options import Step, pairs, verification
 from framework.scenes.photos.prepare import Photo
 from framework.scenes.photos.process import Messages
 
-MOST_FEATURES = 1024  # per photo; twice as many take three times as long and placed no more photos
+MOST_FEATURES = 1024  # per photo; twice as many took three times as long on fern
 SIDE = 1024  # pixels of the longer side that ALIKED sees
 
 Item = TypeVar("Item")

