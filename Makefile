@@ -32,7 +32,7 @@ results: $(STAMP)
 	@test -n "$(DATA)" || { echo "error: expected the folder of the scenes; make results DATA=DIR" >&2; exit 2; }
 	$(RUN) python benchmarks/results.py run "$(DATA)"
 	$(RUN) python benchmarks/results.py keep
-	$(RUN) python benchmarks/results.py tables
+	$(RUN) python benchmarks/results.py pages
 
 lint: $(STAMP)
 	$(RUN) ruff check .

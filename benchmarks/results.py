@@ -1,17 +1,19 @@
-"""Run the studies behind the numbers of README and docs, and write the tables made from them.
+"""Run the studies behind the numbers of README and docs, and write the numbers into the pages.
 
     python benchmarks/results.py run DATA [--study NAME ...] [--estimate]
     python benchmarks/results.py keep [--study NAME ...]
-    python benchmarks/results.py tables [--check]
+    python benchmarks/results.py pages [--check]
 
 `run` trains what `benchmarks/canonical.yaml` lists, from one commit without local changes, two runs
 at a time. It can be repeated: finished runs are kept. `keep` copies what was run to
-`reports/committed`; `tables` writes the tables of the pages from there.
+`reports/committed`; `pages` writes the tables of the pages, and the numbers in their sentences
+(`benchmarks/quoted.py`), from there.
 """
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import re
 import shlex
@@ -20,16 +22,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import yaml
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))  # for the packages of this checkout
-REPORTS, COMMITTED = ROOT / "reports", ROOT / "reports" / "committed"
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))  # this checkout's packages
+
+from benchmarks import quoted
+from benchmarks.quoted import COMMITTED, ROOT
+
+REPORTS = ROOT / "reports"
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
 PREFIX = "results_"  # of a study's folder while its runs are there
 PAGE, ARCHIVE = "report.md", "runs.jsonl"
 FOREST, PICTURES = "differences", 5  # the first picture of a committed study, and how many at most
@@ -53,12 +57,12 @@ def main(arguments: Sequence[str]) -> int:
     keep = commands.add_parser("keep", help="copy studies that were run to reports/committed")
     for part in (run, keep):
         part.add_argument("--study", action="append", help="by default all")
-    tables = commands.add_parser("tables", help="write the tables of the pages")
-    tables.add_argument("--check", action="store_true", help="only compare; 1 if one differs")
+    pages = commands.add_parser("pages", help="write the numbers of README and docs")
+    pages.add_argument("--check", action="store_true", help="only compare; 1 if one differs")
     options = parser.parse_args(arguments)
     canon = yaml.safe_load((ROOT / "benchmarks" / "canonical.yaml").read_text("utf-8"))
-    if options.command == "tables":
-        return write_tables(canon["tables"], options.check)
+    if options.command == "pages":
+        return write_pages(canon["tables"], options.check)
     studies = {name: canon["studies"][name] for name in options.study or canon["studies"]}
     if options.command == "keep":
         return keep_studies(studies)
@@ -149,18 +153,23 @@ def summary(study: Path) -> str:
     )
 
 
-def write_tables(tables: Mapping[str, Any], check: bool) -> int:
-    """Write the tables below their marks, or compare them."""
+def write_pages(tables: Mapping[str, Any], check: bool) -> int:
+    """Write the tables below their marks and the numbers inside sentences, or compare them."""
     differing = 0
-    for name, spec in tables.items():
-        page = ROOT / spec["page"]
-        text = page.read_text("utf-8")
-        new = with_table(text, name, table(spec))
+    for path in PAGES:
+        page = path.relative_to(ROOT).as_posix()
+        text = new = path.read_text("utf-8")
+        for name, spec in tables.items():
+            new = with_table(new, name, table(spec)) if spec["page"] == page else new
+        new = quoted.with_values(new)
         if new != text:
             differing += 1
-            print(f"{spec['page']}: table {name} {'differs' if check else 'written'}")
+            lines = difflib.unified_diff(
+                text.splitlines(), new.splitlines(), page, page, n=0, lineterm=""
+            )
+            print(*lines, sep="\n")
             if not check:
-                page.write_text(new, "utf-8")
+                path.write_text(new, "utf-8")
     return int(check and differing > 0)
 
 
@@ -185,7 +194,9 @@ def values(spec: Mapping[str, Any]) -> list[str]:
     labels = ["method", *names.values(), *MEASURES.values()]
     rows = [_row(labels), _row(["---", *["---:"] * (len(labels) - 1)])]
     for group in spec["groups"]:
-        shown = {label: _means(group["study"]).loc[name] for label, name in _listed(group["rows"])}
+        shown = {
+            label: quoted.means(group["study"]).loc[name] for label, name in _listed(group["rows"])
+        }
         if "title" in group:
             rows.append(_row([f"*{group['title']}*", *[""] * (len(labels) - 1)]))
         texts = {
@@ -207,7 +218,7 @@ def values(spec: Mapping[str, Any]) -> list[str]:
 def gains(spec: Mapping[str, Any]) -> list[str]:
     """Gain of each method in PSNR over the baseline, a column for each study."""
     columns = spec["gains"]
-    means = {label: _means(column["study"])["psnr"] for label, column in columns.items()}
+    means = {label: quoted.means(column["study"])["psnr"] for label, column in columns.items()}
     rows = [_row(["method", *columns]), _row(["---", *["---:"] * len(columns)])]
     for label in spec["rows"]:
         cells = []
@@ -225,43 +236,24 @@ def gains(spec: Mapping[str, Any]) -> list[str]:
 def recipes(spec: Mapping[str, Any]) -> list[str]:
     """Published PSNR of recipes, ours on a scene, and the difference to the baseline with its
     uncorrected interval."""
-    from framework.report.findings import find
-    from framework.report.study.collect import collect
-
-    study, scenes = collect(COMMITTED / spec["study"]), spec["scenes"]
+    study = spec["study"]
     labels, rows = ["recipe"], {name: [f"`{name}`"] for name in spec["rows"]}
-    for data, scene in scenes.items():
+    for data, scene in spec["scenes"].items():
         labels += [f"{data}, published", scene, "difference to 3DGS", "CPU s"]
-        runs = [run for run in study.runs if run.scene == scene]
-        compared = {
-            comparison.method.name: comparison
-            for comparison in find(replace(study, runs=runs)).outcomes.comparisons.values()
-        }
-        means = _means(spec["study"], scene)
+        means = quoted.means(study, scene)
         for recipe, name in spec["rows"].items():
             source = ROOT / "conf" / "published" / f"{recipe.removesuffix('_sweep')}.yaml"
             published = yaml.safe_load(source.read_text("utf-8")).get(data, {}).get("published", "")
-            mean, comparison = means.loc[name], compared.get(name)
             difference = ""
-            if comparison is not None:
-                low, high = comparison.interval.low, comparison.interval.high
-                difference = f"{comparison.difference:+.2f} ({low:.2f} to {high:.2f})"
+            if name != "Baseline":
+                gain = quoted.gain(study, name, on=scene, corrected=False)
+                difference = f"{gain.mean:+.2f} ({gain.span})"
+            mean = means.loc[name]
             cpu = f"{mean['train_cpu_s']:,.0f}"
             rows[recipe] += [published, f"{mean['psnr']:.2f}", difference, cpu]
     ordered = sorted(rows.values(), key=lambda cells: -float(cells[2]))
     lines = ["---", *["---:"] * (len(labels) - 1)]
     return [_row(labels), _row(lines), *map(_row, ordered)]
-
-
-def _means(study: str, scene: str = "") -> pd.DataFrame:
-    """Mean over seeds and then scenes, or on one scene; a row for each method."""
-    from fishersplat import load_study
-
-    runs = load_study(COMMITTED / study).runs
-    if scene:
-        runs = runs[runs["scene"] == scene]
-    numbers = runs.groupby(["method", "scene"]).mean(numeric_only=True)
-    return numbers.groupby("method").mean()
 
 
 def _listed(rows: Sequence[str | Mapping[str, str]]) -> Iterator[tuple[str, str]]:
