@@ -27,7 +27,6 @@ TRIAL_STEPS, TRIAL_EPOCHS = 40, 2  # of the trial, the more of both
 SHARE, LONGEST_S = 0.15, 20.0  # of the given time, and seconds, that a second trial may take
 WARM = 8  # steps of a first trial, which meets cold caches and is not counted
 BESIDE = 12  # steps of a trial with the second camera, which no short training comes to
-SHORT = 150  # steps; a training below it takes more of them at half size, as preset=fast does
 
 # trains with these options; the seconds by the wall clock that its steps took, without its start
 Trial = Callable[[TrainerOptions], float]
@@ -47,7 +46,6 @@ class Choice:
     steps: int
     members: int
     kept: int
-    coarse_until: float
 
     def applied(self, options: TrainerOptions) -> TrainerOptions:
         """The options that repeat the run bit for bit."""
@@ -58,7 +56,6 @@ class Choice:
             steps=self.steps,
             members=self.members,
             kept=self.kept,
-            coarse_until=self.coarse_until,
         )
 
     @property
@@ -68,8 +65,7 @@ class Choice:
             "seconds": self.seconds,
             "step_s": self.step_s,
             "repeat": f"trainer.seconds=0 trainer.visits=0 trainer.steps={self.steps}"
-            f" trainer.members={self.members} trainer.kept={self.kept}"
-            f" trainer.coarse_until={self.coarse_until:g}",
+            f" trainer.members={self.members} trainer.kept={self.kept}",
         }
 
 
@@ -127,8 +123,7 @@ def choose(
 
     total = max(1, bisect(range(1, MOST_STEPS + 1), 0, key=lambda n: not fits(n)))
     one = shared(total)
-    coarse = one.coarse_until if one.steps >= SHORT else max(one.coarse_until, 0.5)
-    return Choice(identity, one.seconds, step_s, one.steps, one.members, one.kept, coarse)
+    return Choice(identity, one.seconds, step_s, one.steps, one.members, one.kept)
 
 
 def _kept(file: Path, identity: str) -> Choice | None:
