@@ -1,6 +1,6 @@
 """Run the studies behind the numbers of README and docs, and write the numbers into the pages.
 
-    python benchmarks/results.py run DATA [--study NAME ...] [--estimate]
+    python benchmarks/results.py run DATA [--study NAME ...] [--scene NAME ...] [--estimate]
     python benchmarks/results.py keep [--study NAME ...]
     python benchmarks/results.py pages [--check]
 
@@ -21,7 +21,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,7 @@ def main(arguments: Sequence[str]) -> int:
     keep = commands.add_parser("keep", help="copy studies that were run to reports/committed")
     for part in (run, keep):
         part.add_argument("--study", action="append", help="by default all")
+    run.add_argument("--scene", action="append", help="by default all of the study")
     pages = commands.add_parser("pages", help="write the numbers of README and docs")
     pages.add_argument("--check", action="store_true", help="only compare; 1 if one differs")
     options = parser.parse_args(arguments)
@@ -66,7 +67,8 @@ def main(arguments: Sequence[str]) -> int:
     studies = {name: canon["studies"][name] for name in options.study or canon["studies"]}
     if options.command == "keep":
         return keep_studies(studies)
-    return run_studies(canon, studies, options.data.resolve(), options.estimate)
+    scenes = options.scene or canon["scenes"]
+    return run_studies(canon, studies, scenes, options.data.resolve(), options.estimate)
 
 
 class _Plain(argparse.RawDescriptionHelpFormatter):
@@ -74,9 +76,13 @@ class _Plain(argparse.RawDescriptionHelpFormatter):
 
 
 def run_studies(
-    canon: Mapping[str, Any], studies: Mapping[str, Any], data: Path, estimate: bool
+    canon: Mapping[str, Any],
+    studies: Mapping[str, Any],
+    scenes: Collection[str],
+    data: Path,
+    estimate: bool,
 ) -> int:
-    """Train the studies; a failed command does not stop the others."""
+    """Train the studies on `scenes`; a failed command does not stop the others."""
     changed = _git("status", "--porcelain", "--untracked-files=no")
     if changed and not estimate:
         print("error: expected a commit without local changes; commit or stash them")
@@ -84,7 +90,7 @@ def run_studies(
     print(f"commit {_git('rev-parse', 'HEAD')}", flush=True)
     failed = 0
     for name, study in studies.items():
-        for words in commands_of(canon, name, study, data):
+        for words in commands_of(canon, name, study, scenes, data):
             more = ["estimate=only"] if estimate else ["estimate=false", *OPTIONS]
             start = time.monotonic()
             code = subprocess.call([sys.executable, "run.py", *words, *more, "-m"], cwd=ROOT)
@@ -92,31 +98,53 @@ def run_studies(
             seconds = time.monotonic() - start
             print(f"{name}: {shlex.join(words)}: exit code {code}, {seconds:.0f} s", flush=True)
         if not estimate:
-            print(f"{name}: {summary(REPORTS / (PREFIX + name))}", flush=True)
+            print(f"{name}: {summary(records_of(name))}", flush=True)
     return int(failed > 0)
 
 
 def commands_of(
-    canon: Mapping[str, Any], name: str, study: Mapping[str, Any], data: Path
+    canon: Mapping[str, Any],
+    name: str,
+    study: Mapping[str, Any],
+    scenes: Collection[str],
+    data: Path,
 ) -> Iterator[list[str]]:
-    """The command lines of a study, one for each scene and each entry of `options`."""
+    """The command lines of a study, one for each of `scenes` and each entry of `options`.
+
+    Each scene has a folder of its own, so that scenes can be trained on different days.
+    """
     entries = study["options"] if isinstance(study["options"], list) else [study["options"]]
     for scene in study.get("scenes", canon["scenes"]):
+        if scene not in scenes:
+            continue
         size = "" if scene == "embedded" else f" scene.downscale={study.get('downscale', 2)}"
         place = canon["scenes"][scene] + size
         for entry in entries:  # whose options replace those of the scene
             chosen = dict(word.split("=", 1) for word in f"{place} {entry}".split())
-            words = [f"{key}={value}" for key, value in {**chosen, "study": PREFIX + name}.items()]
+            chosen["study"] = f"{PREFIX}{name}-{scene}"
+            words = [f"{key}={value}" for key, value in chosen.items()]
             yield [word.format(data=data, methods=canon["methods"]) for word in words]
 
 
 def keep_studies(studies: Mapping[str, Any]) -> int:
-    """Copy reports and records of the studies that were run to `reports/committed`."""
+    """Add runs and reports of the studies to `reports/committed`.
+
+    Runs of earlier days that are there already stay, unless they are of another commit.
+    """
     for name in studies:
-        source, target = REPORTS / (PREFIX + name), COMMITTED / name
-        if not (source / ARCHIVE).is_file():
+        new, target, source = records_of(name), COMMITTED / name, REPORTS / (PREFIX + name)
+        if not new:
             print(f"{name}: no runs; python benchmarks/results.py run DATA --study {name}")
             continue
+        commits = {_commit(record) for record in new.values()}
+        if len(commits) > 1:
+            print(f"error: {name}: expected runs of one commit, got {', '.join(sorted(commits))}")
+            return 2
+        kept = {k: v for k, v in _lines(target / ARCHIVE).items() if _commit(v) in commits}
+        shutil.rmtree(source, ignore_errors=True)
+        source.mkdir()
+        lines = (json.dumps(line, separators=(",", ":")) for line in {**kept, **new}.values())
+        (source / ARCHIVE).write_text("".join(f"{line}\n" for line in lines), "utf-8")
         command = ["report", str(source), "--title", name, "--without-photos", "--out", str(source)]
         subprocess.run([sys.executable, "run.py", *command], cwd=ROOT, check=True)
         shutil.rmtree(target, ignore_errors=True)
@@ -126,8 +154,28 @@ def keep_studies(studies: Mapping[str, Any]) -> int:
             shutil.copy(file, target)
         page = (source / PAGE).read_text("utf-8")
         (target / PAGE).write_text(without_absent(page, target), "utf-8")
-        print(f"{name}: {summary(target)}")
+        print(f"{name}: {summary(_lines(target / ARCHIVE))}")
     return 0
+
+
+def records_of(name: str) -> dict[str, Any]:
+    """The lines of the archives of all scenes of a study, by run."""
+    found: dict[str, Any] = {}
+    for path in sorted(REPORTS.glob(f"{PREFIX}{name}-*/{ARCHIVE}")):
+        found |= _lines(path)
+    return found
+
+
+def _lines(path: Path) -> dict[str, Any]:
+    """The lines of an archive by run; none if there is none."""
+    if not path.is_file():
+        return {}
+    lines = map(json.loads, path.read_text("utf-8").splitlines())
+    return {line["run"]: line for line in lines}
+
+
+def _commit(line: Mapping[str, Any]) -> str:
+    return str(line["record"]["provenance"]["git"]["sha"])
 
 
 def without_absent(page: str, folder: Path) -> str:
@@ -140,16 +188,15 @@ def without_absent(page: str, folder: Path) -> str:
     return re.sub(r" \[(?:SVG|CSV)\]\(([^)]+)\)", kept, page)
 
 
-def summary(study: Path) -> str:
-    """Runs, CPU hours, commits and processors of a study."""
-    lines = (study / ARCHIVE).read_text("utf-8").splitlines()
-    records = [json.loads(line)["record"] for line in lines]
+def summary(lines: Mapping[str, Any]) -> str:
+    """Runs, CPU hours, commits and processors of a study, from the lines of its archive."""
+    records = [line["record"] for line in lines.values()]
     hours = sum(stage["cpu_s"] for record in records for stage in record["timings"]) / 3600
-    commits = {record["provenance"]["git"]["sha"] for record in records}
-    processors = {record["provenance"]["cpu"] for record in records}
+    commits = sorted({_commit(line) for line in lines.values()})
+    processors = sorted({record["provenance"]["cpu"] for record in records})
     return (
-        f"{len(records)} runs, {hours:.1f} CPU hours, commit {', '.join(sorted(commits))},"
-        f" {', '.join(sorted(processors))}"
+        f"{len(records)} runs, {hours:.1f} CPU hours, commit {', '.join(commits)},"
+        f" {', '.join(processors)}"
     )
 
 

@@ -112,18 +112,18 @@ def test_a_changed_number_of_a_table_is_replaced() -> None:
 
 def test_options_of_a_study_replace_those_of_its_scene() -> None:
     canon = {
-        "scenes": {"fern": "scene=llff scene.path={data}/fern scene.n_views=3"},
+        "scenes": {"fern": "scene=llff scene.path={data}/fern scene.n_views=3", "door": ""},
         "methods": "a,b",
     }
     study = {"options": "scene.n_views=2,3 method={methods}"}
-    (words,) = results.commands_of(canon, "views", study, Path("/my data"))
+    (words,) = results.commands_of(canon, "views", study, ["fern"], Path("/my data"))
     assert words == [
         "scene=llff",
         "scene.path=/my data/fern",
         "scene.n_views=2,3",
         "scene.downscale=2",
         "method=a,b",
-        "study=results_views",
+        "study=results_views-fern",
     ]
 
 
