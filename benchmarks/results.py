@@ -175,7 +175,8 @@ def _lines(path: Path) -> dict[str, Any]:
 
 
 def _commit(line: Mapping[str, Any]) -> str:
-    return str(line["record"]["provenance"]["git"]["sha"])
+    git = line["record"]["provenance"].get("git") or {"sha": "unknown"}  # of converted records
+    return str(git["sha"])
 
 
 def without_absent(page: str, folder: Path) -> str:
@@ -190,14 +191,16 @@ def without_absent(page: str, folder: Path) -> str:
 
 def summary(lines: Mapping[str, Any]) -> str:
     """Runs, CPU hours, commits and processors of a study, from the lines of its archive."""
+    runs, hours, commits, processors = _origin(lines)
+    return f"{runs} runs, {hours} CPU hours, commit {commits}, {processors}"
+
+
+def _origin(lines: Mapping[str, Any]) -> tuple[str, str, str, str]:
     records = [line["record"] for line in lines.values()]
     hours = sum(stage["cpu_s"] for record in records for stage in record["timings"]) / 3600
-    commits = sorted({_commit(line) for line in lines.values()})
+    commits = sorted({_commit(line)[:8] for line in lines.values()})
     processors = sorted({record["provenance"]["cpu"] for record in records})
-    return (
-        f"{len(records)} runs, {hours:.1f} CPU hours, commit {', '.join(commits)},"
-        f" {', '.join(processors)}"
-    )
+    return f"{len(records)}", f"{hours:.1f}", ", ".join(commits), ", ".join(processors)
 
 
 def write_pages(tables: Mapping[str, Any], check: bool) -> int:
@@ -231,8 +234,9 @@ def with_table(text: str, name: str, rows: Sequence[str]) -> str:
 
 
 def table(spec: Mapping[str, Any]) -> list[str]:
-    """The lines of a table: `values`, `gains` or `recipes`."""
-    return {"values": values, "gains": gains, "recipes": recipes}[spec["kind"]](spec)
+    """The lines of a table: `values`, `gains`, `recipes` or `sources`."""
+    kinds = {"values": values, "gains": gains, "recipes": recipes, "sources": sources}
+    return kinds[spec["kind"]](spec)
 
 
 def values(spec: Mapping[str, Any]) -> list[str]:
@@ -301,6 +305,16 @@ def recipes(spec: Mapping[str, Any]) -> list[str]:
     ordered = sorted(rows.values(), key=lambda cells: -float(cells[2]))
     lines = ["---", *["---:"] * (len(labels) - 1)]
     return [_row(labels), _row(lines), *map(_row, ordered)]
+
+
+def sources(spec: Mapping[str, Any]) -> list[str]:
+    """Each committed study: its report, runs, CPU hours, commit and processors."""
+    rows = [_row(["study", "runs", "CPU hours", "commit", "processors"])]
+    rows.append(_row(["---", "---:", "---:", "---", "---"]))
+    for path in sorted(COMMITTED.glob(f"*/{ARCHIVE}")):
+        link = f"[{path.parent.name}](../reports/committed/{path.parent.name}/report.md)"
+        rows.append(_row([link, *_origin(_lines(path))]))
+    return rows
 
 
 def _listed(rows: Sequence[str | Mapping[str, str]]) -> Iterator[tuple[str, str]]:

@@ -31,7 +31,8 @@ NAV = {
     ],
     "Reference": [
         *("choices.md", "reference/options.md", "reference/python.md", "plugins.md"),
-        *("reference/api.md", "runs.md", "glossary.md", "scenes.md", "benchmarks.md"),
+        *("reference/api.md", "runs.md", "glossary.md", "scenes.md", "results.md"),
+        "benchmarks.md",
         *("platforms.md", "dependencies.md"),
     ],
     "Explanation": [
