@@ -82,7 +82,7 @@ def test_the_smallest_file_and_the_least_time_that_are_as_good_are_named(tmp_pat
         "smallest": "dba + none",
         "quickest": "none + none",
     }
-    text = build_report(tmp_path / "t", out_dir=tmp_path / "out").read_text(encoding="utf-8")
+    text = build_report(tmp_path / "t", out_dir=tmp_path / "out").path.read_text(encoding="utf-8")
     assert re.search(r"DBA has the smallest file .*5\.00 MB", text)
     assert re.search(r"Baseline takes the least time .*5\.0 s", text)
 

@@ -95,7 +95,7 @@ def test_no_two_scenes_share_a_file(tmp_path: Path) -> None:
             for seed in range(3):
                 run_name = f"{scenes.index(scene)}-{augment}-{seed}"
                 fake_run(tmp_path, augment, seed=seed, scene=scene, run_name=run_name)
-    report = build_report(tmp_path)
+    report = build_report(tmp_path).path
     pictures = re.findall(r"^!\[.*\]\((.+)\)$", report.read_text(encoding="utf-8"), re.MULTILINE)
     assert len({name.lower() for name in pictures}) == len(pictures) > 2 * len(scenes)
     assert {"closeup_lamp_1.jpg", "curves_lamp_1.png"} <= {*pictures}

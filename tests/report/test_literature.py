@@ -45,7 +45,7 @@ def test_recipes_stand_next_to_published_and_repeated_figures(tmp_path: Path) ->
     assert corgs[OF_SCENE] == "22.29" and corgs[AVGE_THERE] == "0.0862, 0.0806 ± 0.0008"
     assert AVGE_HERE not in corgs, "no run has LPIPS"
     assert rows["FSGS"]["Recipe"] == "fsgs_sweep"
-    assert "### Compared with the literature" in build_report(tmp_path).read_text("utf-8")
+    assert "### Compared with the literature" in build_report(tmp_path).path.read_text("utf-8")
 
 
 def test_every_published_recipe_is_one() -> None:

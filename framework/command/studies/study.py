@@ -275,8 +275,8 @@ def build_reports() -> None:
 
             with locked(folder, wait=True):
                 remove_temporaries(folder, ".*.tmp")  # of a process killed at its report
-                report = build_report(folder)
-            for line in closing(report):
+                build_report(folder)
+            for line in closing(folder / "report.md"):
                 say(line)
         except Exception as error:
             # not the number of a run: a killed one has no outcome
