@@ -39,12 +39,9 @@ def evaluations(run: ReportRun) -> Evaluations:
 
 def has_members(study: Study, scene: str) -> bool:
     """Whether a run of the scene joins several trainings, whose curves follow each other."""
-    for run in study.of(scene):
-        trainer, info = run.record.config["trainer"], run.record.scene
-        views = len(info.training) if info else 1
-        if members_of(trainer.get("members", 1), trainer["steps"], views) > 1:
-            return True
-    return False
+    records = [run.record for run in study.of(scene)]
+    cases = [(r.config["trainer"], len(r.scene.training) if r.scene else 1) for r in records]
+    return any(members_of(t.get("members", 1), t["steps"], views) > 1 for t, views in cases)
 
 
 def curves(study: Study, scene: str) -> Picture | None:

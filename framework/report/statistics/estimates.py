@@ -75,9 +75,7 @@ class Estimate:
 
 
 def estimate(values: Sequence[float]) -> Estimate:
-    """Raises ValueError without values."""
-    if len(values) == 0:
-        raise ValueError("estimate: expected at least one value")
+    """Of one value or more."""
     x = np.asarray(values, dtype=np.float64)
     return Estimate(len(x), float(x.mean()), deviation(x) if len(x) > 1 else None)
 

@@ -77,10 +77,6 @@ class SigmaComparison:
     tests: int = 1
 
     @property
-    def paired(self) -> bool:
-        return self.rho is not None
-
-    @property
     def p_joint(self) -> float:
         return min(1.0, self.tests * self.p)
 

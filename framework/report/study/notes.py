@@ -53,9 +53,8 @@ def _ranged(words: Sequence[str], group: Sequence[tuple[list[str], ReportRun]]) 
 
 def failed_repetitions(study: Study) -> list[tuple[str, str]]:
     """(folder, error) of complete runs whose repetition failed."""
-    folders = [run.run.run_dir for run in study.runs]
     failed = []
-    for folder in folders:
+    for folder in (run.run.run_dir for run in study.runs):
         if os.path.lexists(folder / FAILED):
             try:
                 error = read_failure(folder).error
