@@ -126,14 +126,6 @@ def test_a_failed_run_without_a_record_is_listed(tmp_path: Path) -> None:
     assert damaged.kind == "damaged" and error.startswith("failed.json: expected JSON")
 
 
-def test_missing_runs_of_a_cross(tmp_path: Path) -> None:
-    for augment, seed in (("none", 0), ("none", 1), ("safi", 0)):
-        fake_run(tmp_path, augment, seed=seed)
-    assert [(s, m.label, k) for s, m, k in collect(tmp_path).missing] == [
-        ("embedded", "safi + none", 1)
-    ]
-
-
 def test_trainings_beside_other_programs_are_told_and_compared_by_cpu(tmp_path: Path) -> None:
     fake_run(tmp_path, "none", "none", 0)
     fake_run(tmp_path, "safi", "none", 0)

@@ -91,12 +91,7 @@ def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
     assert verdict.startswith("Use SAFI + UAR: it gains")
     assert paths == [f"page: {study_dir / 'report.html'}", f"report: {study_dir / 'report.md'}"]
     assert set(before) == {
-        *(
-            "report.md",
-            "report.html",
-            "runs.csv",
-            "runs.jsonl",
-        ),
+        *("report.md", "report.html", "runs.csv", "runs.jsonl"),
         *("results.tex", "results.md", "results.csv"),
         *("curves_embedded.png", "curves_embedded.svg"),
         *("tradeoff_embedded.png", "tradeoff_embedded.svg", "tradeoff_embedded.csv"),
