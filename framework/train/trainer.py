@@ -108,7 +108,9 @@ class Trainer:
             " option off, for instance capacity.absolute=false",
         )
         self.second = self._second_field(plugins, gaussians, second)
-        self.items = Items(options.pseudo_mean == "covered", rasterizer, self._smoothness())
+        weight = options.depth_smoothness
+        smooth = DepthSmoothness(weight, self.conditions.spacing) if weight > 0 else None
+        self.items = Items(options.pseudo_mean == "covered", rasterizer, smooth)
         self.binocular = self._binocular()
         self.pseudo: list[View] = []
         self.queue: list[tuple[View, ...]] = []
@@ -271,10 +273,6 @@ class Trainer:
             return field.params.detach(), rows
 
         field.plugins.edits(self._now(0, field, other), stats, apply)
-
-    def _smoothness(self) -> DepthSmoothness | None:
-        weight = self.options.depth_smoothness
-        return DepthSmoothness(weight, self.conditions.spacing) if weight > 0 else None
 
     def _binocular(self) -> Binocular | None:
         weight, since = self.options.binocular, self.options.binocular_from
