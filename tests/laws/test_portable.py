@@ -33,7 +33,7 @@ def test_powers_agree_with_numpys(exponent: float) -> None:
     x = np.append(DRAW.uniform(0, 3, 1000), 0.0)
     np.testing.assert_allclose(portable.power(x, exponent), x**exponent, rtol=2e-15)
     np.testing.assert_array_equal(
-        portable.powers(x, np.full_like(x, exponent)), portable.power(x, exponent)
+        portable.power(x, np.full_like(x, exponent)), portable.power(x, exponent)
     )
 
 
