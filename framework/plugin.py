@@ -54,10 +54,6 @@ __all__ = [
 ]
 
 
-def _computed(key: str, make: Callable[[], Any]) -> Any:
-    return make()
-
-
 @dataclass(frozen=True)
 class StepContext:
     """What a plugin may use: read-only, and only what training may know of the scene.
@@ -118,7 +114,7 @@ class StepContext:
     behind: Tensor | None = None
     other: Gaussians | None = None
     second: bool = False
-    once: Callable[[str, Callable[[], Any]], Any] = _computed
+    once: Callable[[str, Callable[[], Any]], Any] = lambda key, make: make()
 
     @property
     def progress(self) -> float:

@@ -46,10 +46,6 @@ def photometric_loss(rgb: Tensor, target: TorchTarget, ssim_weight: float) -> Te
 
     SSIM: Wang et al. 2004, eq. 13, an 11x11 Gaussian window and zero padding, as
     `framework.kernels.losses`."""
-    if rgb.shape != target.image.shape:
-        raise ValueError(
-            f"photometric_loss: expected a render {list(target.image.shape)}, got {list(rgb.shape)}"
-        )
     seen = rgb if target.mask is None else rgb * target.mask
     planes = torch.cat([seen, seen * seen, seen * target.image])
     mean, square, product = _blurred(planes).split(len(seen))

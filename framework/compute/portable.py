@@ -117,12 +117,6 @@ def _log1p(x, out):
 @kernel
 def _power(x, y, out):
     for i in range(len(x)):
-        out[i] = power_of(x[i], y)
-
-
-@kernel
-def _powers(x, y, out):
-    for i in range(len(x)):
         out[i] = power_of(x[i], y[i])
 
 
@@ -148,14 +142,10 @@ def log1p(x: ArrayLike) -> Array:
     return _each(_log1p, x)
 
 
-def power(x: ArrayLike, y: float) -> Array:
-    """x^y of x >= 0 and a number y, float64 of the shape of x."""
-    return _each(_power, x, float(y))
-
-
-def powers(x: ArrayLike, y: ArrayLike) -> Array:
-    """x^y of x >= 0 and y of one shape, float64 of that shape."""
-    return _each(_powers, x, np.ascontiguousarray(y, np.float64).reshape(-1))
+def power(x: ArrayLike, y: ArrayLike) -> Array:
+    """x^y of x >= 0 and a number y or one for each, float64 of the shape of x."""
+    exponents = np.broadcast_to(np.asarray(y, np.float64), np.shape(x))
+    return _each(_power, x, np.ascontiguousarray(exponents).reshape(-1))
 
 
 def sigmoid(x: ArrayLike) -> Array:

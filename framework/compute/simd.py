@@ -283,14 +283,29 @@ def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any
     return builder.bitcast(builder.gep(data, [index]), VECTOR.as_pointer())
 
 
+def _read(context: Any, builder: Any, signature: Any, values: Any, k: int) -> Any:
+    """The k-th vector of the array values[0] from the index values[1] on."""
+    at = builder.add(values[1], values[1].type(LANES * k))
+    vector = builder.load(_address(context, builder, signature.args[0], values[0], at))
+    vector.align = 4
+    return vector
+
+
+def _write(context: Any, builder: Any, signature: Any, values: Any, vectors: list[Any]) -> Any:
+    """Put vectors into the array values[0], from the index values[1] on."""
+    for k, vector in enumerate(vectors):
+        at = builder.add(values[1], values[1].type(LANES * k))
+        address = _address(context, builder, signature.args[0], values[0], at)
+        builder.store(vector, address).align = 4
+    return context.get_dummy_value()
+
+
 @intrinsic
 def load(typing_context, array, index):
     """Sixteen consecutive elements of a flat float32 array, from `index`; unchecked."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        value = builder.load(_address(context, builder, signature.args[0], values[0], values[1]))
-        value.align = 4
-        return value
+        return _read(context, builder, signature, values, 0)
 
     return V(array, types.intp), generate
 
@@ -300,9 +315,7 @@ def store(typing_context, array, index, value):
     """Write sixteen consecutive elements of a flat float32 array, from `index`; unchecked."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        address = _address(context, builder, signature.args[0], values[0], values[1])
-        builder.store(values[2], address).align = 4
-        return context.get_dummy_value()
+        return _write(context, builder, signature, values, [values[2]])
 
     return types.void(array, types.intp, V), generate
 
@@ -315,12 +328,7 @@ def _interleaved(width: int) -> Any:
         signature = types.UniTuple(V, width)(array, types.intp)
 
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            parts = []
-            for k in range(width):
-                at = builder.add(values[1], values[1].type(16 * k))
-                part = builder.load(_address(context, builder, signature.args[0], values[0], at))
-                part.align = 4
-                parts.append(part)
+            parts = [_read(context, builder, signature, values, k) for k in range(width)]
             columns = [
                 _pick(builder, parts, [i * width + k for i in range(LANES)]) for k in range(width)
             ]
@@ -338,13 +346,10 @@ def _spread(width: int) -> Any:
     def store_items(typing_context, array, index, columns):
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             columns = cgutils.unpack_tuple(builder, values[2])
-            for k in range(width):
-                order = [16 * k + i for i in range(LANES)]
-                part = _pick(builder, columns, [n % width * LANES + n // width for n in order])
-                at = builder.add(values[1], values[1].type(16 * k))
-                address = _address(context, builder, signature.args[0], values[0], at)
-                builder.store(part, address).align = 4
-            return context.get_dummy_value()
+            order = [n % width * LANES + n // width for n in range(width * LANES)]
+            rows = [order[k * LANES : (k + 1) * LANES] for k in range(width)]
+            parts = [_pick(builder, columns, row) for row in rows]
+            return _write(context, builder, signature, values, parts)
 
         return types.void(array, types.intp, types.UniTuple(V, width)), generate
 
@@ -388,12 +393,7 @@ def load16(typing_context, array, index):
     """Sixteen rows of 16 floats from a flat float32 array, as the tuple of their 16 columns."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        rows = []
-        for k in range(LANES):
-            at = builder.add(values[1], values[1].type(LANES * k))
-            row = builder.load(_address(context, builder, signature.args[0], values[0], at))
-            row.align = 4
-            rows.append(row)
+        rows = [_read(context, builder, signature, values, k) for k in range(LANES)]
         columns = _transposed(builder, rows)
         return context.make_tuple(builder, signature.return_type, columns)
 
@@ -406,11 +406,7 @@ def store16(typing_context, array, index, columns):
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         rows = _transposed(builder, cgutils.unpack_tuple(builder, values[2]))
-        for k, row in enumerate(rows):
-            at = builder.add(values[1], values[1].type(LANES * k))
-            address = _address(context, builder, signature.args[0], values[0], at)
-            builder.store(row, address).align = 4
-        return context.get_dummy_value()
+        return _write(context, builder, signature, values, rows)
 
     return types.void(array, types.intp, types.UniTuple(V, LANES)), generate
 

@@ -50,7 +50,7 @@ def error_map(reference: Array, test: Array) -> Array:
     features = [_features(image[0] / np.float32(116)) for image in opponent]
     lost = np.maximum(*(abs(a - b) for a, b in zip(*features, strict=True)))  # edges, points
     strength = np.sqrt(lost / np.float32(math.sqrt(2)))  # to the power q_f = 1/2
-    return _float32(portable.powers(colour, 1 - strength))
+    return _float32(portable.power(colour, 1 - strength))
 
 
 def _linear(image: Array) -> Array:

@@ -10,12 +10,7 @@ from framework.errors import require
 from framework.files.whole import make_folder, write_whole
 from framework.records.archive import ARCHIVE, has_archive, read_archive
 from framework.report import literature, stress, tables
-from framework.report.export import (
-    TABLE,
-    results_files,
-    runs_archive,
-    runs_csv,
-)
+from framework.report.export import TABLE, results_files, runs_archive, runs_csv
 from framework.report.figures.chart import Picture, chart_picture
 from framework.report.figures.charts import cost_charts, curves, has_members, stress_charts
 from framework.report.figures.forest import forest_of, forest_picture
@@ -41,16 +36,13 @@ class Report:
     """A report that was written.
 
     Attributes:
+        path: of `report.md`.
         verdict: as plain text.
     """
 
     path: Path
     study: Study
     verdict: str
-
-    @property
-    def page(self) -> Path:
-        return self.path.with_suffix(".html")
 
 
 def build_report(
@@ -59,7 +51,7 @@ def build_report(
     out_dir: Path | None = None,
     photos: bool = True,
     rival: str = "",
-) -> Path:
+) -> Report:
     """Write the report of all runs below the folders.
 
     A run whose record or tables are damaged counts as failed. Pictures of an earlier report are
@@ -73,48 +65,29 @@ def build_report(
             scene and has no links, so that it can be published without the photos.
         rival: display or registry name of the baseline; "" for training without a method.
 
-    Returns:
-        The path of `report.md`.
-
     Raises:
-        UserError: There is no run, or none of the baseline.
+        UserError: There is no run, or none of the baseline; or a picture of a run is damaged, or an
+            earlier report, or an archive, has what this one would lose.
     """
-    return built(study_dirs, title, out_dir, photos, rival).path
-
-
-def built(
-    study_dirs: Path | Sequence[Path],
-    title: str | None = None,
-    out_dir: Path | None = None,
-    photos: bool = True,
-    rival: str = "",
-) -> Report:
-    """Write the report as `build_report` does; also return the study and the verdict."""
     study = collect(study_dirs, out_dir, rival)
-    if out_dir is None:
-        _keep_fuller_report(study)
-    return _build(replace(study, linked=study.linked and photos), title, photos)
-
-
-def _keep_fuller_report(study: Study) -> None:
-    """Raise UserError if a report made of an archive, without pictures, would overwrite the one
-    that was made of the runs."""
     require(
-        study.out_dir not in study.archived or not (study.out_dir / REPORT).exists(),
+        out_dir is not None
+        or study.out_dir not in study.archived
+        or not (study.out_dir / REPORT).exists(),
         f"{study.out_dir}: expected runs, got only {ARCHIVE} next to an earlier report, which may"
         " show pictures of the runs; add --out DIR to write another report",
     )
+    _keep_other_archive(study)
+    return _build(replace(study, linked=study.linked and photos), title, photos)
 
 
 def _keep_other_archive(study: Study) -> None:
     """Raise UserError if the report would overwrite an archive with runs that are nowhere else."""
-    if not has_archive(study.out_dir):
-        return
+    entries = read_archive(study.out_dir) if has_archive(study.out_dir) else []
     present = {folder.name for folder in run_dirs(study.out_dir)}
     present |= {run.run.run_dir.name for run in study.runs}
     present |= {run.run.run_dir.name for run in study.failed}
-    archived = {entry.run.run_dir.name for entry in read_archive(study.out_dir)}
-    lost = sorted(archived - present)
+    lost = sorted({entry.run.run_dir.name for entry in entries} - present)
     require(
         not lost,
         f"{study.out_dir / ARCHIVE}: expected runs of this report, got {len(lost)} others (as"
@@ -124,8 +97,7 @@ def _keep_other_archive(study: Study) -> None:
 
 
 def _build(study: Study, title: str | None, photos: bool) -> Report:
-    """The report of a study. Raises UserError for a run with a damaged picture."""
-    _keep_other_archive(study)
+    """The report of a study."""
     make_folder(study.out_dir)
     visible = study.scenes if photos else own_scenes(study)
     if study.archived:  # the pictures went with the runs' folders
@@ -188,13 +160,12 @@ def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "hidden": [] if study.archived else hidden,
         "missing": missing,
         "forest": _forest(findings),
-        "against": _against(study),
-        "stress_pictures": _stress_pictures(study, findings.panels, findings.limits),
+        "stress_pictures": _stress_pictures(findings),
         "closeups": _drawn(lambda scene: draw_closeup(study, scene), seen),
         "costs": [] if findings.panels else [_cost(study, scene) for scene in study.tested],
         "machines": sorted({outside(str(r.record.provenance.get("cpu"))) for r in study.runs}),
         "has_members": lambda scene: has_members(study, scene),
-        "curves": _drawn(lambda scene: _curves(study, scene), shown),
+        "curves": _drawn(lambda scene: curves(study, scene), shown),
     }
 
 
@@ -223,30 +194,10 @@ def _cost(study: Study, scene: str) -> tuple[str, list[Picture]]:
     return scene, pictures
 
 
-def _curves(study: Study, scene: str) -> Picture | None:
-    chart = curves(study, scene)
-    if chart is None:
-        return None
-    alt = f"Quality over training time of {scene}"
-    return chart_picture(study.out_dir, (chart,), alt)
-
-
-def _against(study: Study) -> Callable[[Sequence[stress.Limit]], str]:
-    """What the gains of a stress are over."""
-
-    def against(limits: Sequence[stress.Limit]) -> str:
-        several = any(limit.against != study.baseline for limit in limits)
-        return "the baseline of the same options" if several else study.baseline.name
-
-    return against
-
-
-def _stress_pictures(
-    study: Study, panels: Sequence[stress.Panel], limits: Sequence[stress.Limit]
-) -> dict[str, Picture]:
-    pictures = {}
-    for panel in panels:
-        charts = stress_charts(study, panel, limits, _against(study)(limits))
+def _stress_pictures(findings: Findings) -> dict[str, Picture]:
+    study, pictures = findings.study, {}
+    for panel in findings.panels:
+        charts = stress_charts(study, panel, findings.limits, findings.against)
         alt = f"PSNR of {panel.title} against {panel.axis.label}"
         pictures[panel.file] = chart_picture(study.out_dir, charts, alt)
     return pictures

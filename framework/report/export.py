@@ -60,7 +60,10 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "seed": run.seed,
         **{metric: run.mean(metric) for metric in METRICS},
         **{f"{ALSO}{name}": run.mean(name) for name in record.summary if name not in METRICS},
-        **{f"{DOSE}{outside(name)}": _plain(value) for name, value in record.dose.items()},
+        **{
+            f"{DOSE}{outside(name)}": outside(value) if isinstance(value, str) else value
+            for name, value in record.dose.items()
+        },
         "gaussians": record.gaussians,
         "parameters": record.parameters,
         "train_wall_s": record.train_s,
@@ -75,10 +78,6 @@ def _measured(run: ReportRun) -> dict[str, Any]:
     }
 
 
-def _plain(value: object) -> object:
-    return outside(value) if isinstance(value, str) else value
-
-
 def results_files(results: Results) -> dict[str, str]:
     """Name -> content of the table of results in three forms."""
     metrics = list(next(iter(results.values())))
@@ -87,17 +86,16 @@ def results_files(results: Results) -> dict[str, str]:
     return {
         f"{RESULTS}.tex": tex("results.tex.jinja", **context, heading_of=heading_of),
         f"{RESULTS}.md": f"{pipe_table(results_rows(results))}\n\n{footnote}".strip() + "\n",
-        f"{RESULTS}.csv": _results_csv(results, metrics),
+        f"{RESULTS}.csv": _results_csv(results),
     }
 
 
-def _results_csv(results: Results, metrics: list[str]) -> str:
+def _results_csv(results: Results) -> str:
     rows = []
     for method, cells in results.items():
         row = {"method": method.name}
-        for metric in metrics:
-            result = cells[metric]
-            row[metric] = result.text if result else ""
-            row[f"{metric}_sigma"] = result.sigma_text if result else ""
+        for metric, result in cells.items():
+            row |= {metric: result.text if result else ""}
+            row |= {f"{metric}_sigma": result.sigma_text if result else ""}
         rows.append(row)
     return csv_text(rows)

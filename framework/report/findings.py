@@ -25,7 +25,7 @@ from framework.report.study.study import ReportRun, Study
 
 ACTED, ENOUGH = "acted_share", 0.5  # of a method's dose; a smaller share was hardly tested
 T = TypeVar("T")
-METHOD_WORDS = ("method", "augment", "reg", "seed", "study")
+METHOD_WORDS = ("method", "augment", "reg", "seed", "study")  # that another command replaces
 
 
 @dataclass(frozen=True)
@@ -211,9 +211,25 @@ class Findings:
         return sorted({run.scene for run in self.study.runs if run.record.warnings})
 
     @property
+    def against(self) -> str:
+        """What the gains of a stress are over."""
+        several = any(limit.against != self.study.baseline for limit in self.limits)
+        return "the baseline of the same options" if several else self.study.baseline.name
+
+    @property
     def baseline_command(self) -> str:
-        """The command that adds the baseline to the study; "" if it is there."""
-        return "" if self.study.baseline.pair == PLAIN else baseline_command(self.study)
+        """The command that adds plain training to the study, from the command line of one of its
+        runs; "" if it is there."""
+        if self.study.has_plain:
+            return ""
+        run = self.study.runs[0]
+        words = [word.lstrip("+") for word in run.record.overrides]
+        kept = [w for w in words if w.partition("=")[0].partition(".")[0] not in METHOD_WORDS]
+        seeds = ",".join(str(seed) for seed in sorted({run.seed for run in self.study.runs}))
+        folder = run.run.run_dir.parent.parent.resolve().name
+        return " ".join(
+            ["fishersplat", "method=baseline", *kept, f"seed={seeds}", f"study={folder}", "-m"]
+        )
 
     @property
     def papers(self) -> list[str]:
@@ -327,17 +343,3 @@ def _share(method: Method, scene: str, key: str, runs: Sequence[ReportRun]) -> I
         return None
     part = key.removesuffix(ACTED).removesuffix("_")
     return Idle(method, scene, part, float(np.mean(idle)), len(idle), len(shares))
-
-
-def baseline_command(study: Study) -> str:
-    """The command that adds plain training to a study, from the command line of one of its runs."""
-    run = study.runs[0]
-    seeds = sorted({run.seed for run in study.runs})
-    words = [word.lstrip("+") for word in run.record.overrides]
-    kept = [
-        w for w in words if w.partition("=")[0].partition(".")[0] not in (*METHOD_WORDS, "seed")
-    ]
-    kept = [w for w in kept if not w.startswith("study=")]
-    seed = f"seed={','.join(map(str, seeds))}"
-    folder = study.runs[0].run.run_dir.parent.parent.resolve().name
-    return " ".join(["fishersplat", "method=baseline", *kept, seed, f"study={folder}", "-m"])

@@ -118,7 +118,7 @@ def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRu
     """Group the pairs of run and view by rank of the seed, then of the view."""
     ranked: dict[tuple[int, int], list[tuple[ReportRun, str]]] = {}
     for scene in scenes:
-        first = [view for view, _ in choose_views(study, scene).views]
+        _, first = choose_views(study, scene)
         for method in study.methods:
             for seed_rank, run in enumerate(study.of(scene, method)):
                 views = list(run.files)

@@ -34,7 +34,7 @@ from framework.report.statistics.numbers import (
     format_mean,
     format_p,
 )
-from framework.report.statistics.outcomes import Outcomes, outcomes
+from framework.report.statistics.outcomes import Outcomes, outcomes, seed_means
 from framework.report.study.collect import collect, holds_run, walked
 from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.study import Study
@@ -75,11 +75,6 @@ class Match:
     @property
     def family(self) -> Method:
         return self.comparison.method.family
-
-    @property
-    def league(self) -> tuple[Method, str]:
-        """The family and its learned weights, which are never pooled with runs without them."""
-        return self.family, self.family.learned
 
     @property
     def ranked(self) -> bool:
@@ -191,12 +186,12 @@ def _n_scenes(study: Study, scenes: Sequence[str]) -> str:
 
 
 def _by_league(matches: Sequence[Match]) -> list[tuple[Method, list[Match]]]:
-    """The families by learned weights, in the order of reports, each with its comparisons."""
+    """The families in the order of reports, each with its comparisons. Those with learned weights
+    are never pooled with runs without them."""
     groups: dict[tuple[Method, str], list[Match]] = defaultdict(list)
-    for match in matches:
-        groups[match.league].append(match)
-    order = sorted(groups, key=lambda league: (league[0].order, league[1]))
-    return [(league[0], groups[league]) for league in order]
+    for match in sorted(matches, key=lambda match: (match.family.order, match.family.learned)):
+        groups[match.family, match.family.learned].append(match)
+    return [(family, of_league) for (family, _), of_league in groups.items()]
 
 
 def _counts(leagues: Leagues, sign: int) -> list[tuple[Method, int]]:
@@ -232,8 +227,8 @@ def _ranks(leagues: Leagues) -> list[Cells]:
 def _study_row(entry: Entry, out_dir: Path) -> Cells:
     study, outcomes = entry.study, entry.outcomes
     best = _advised(study, outcomes)
-    values = list(outcomes.seeds.get(best, {}).values())
     runs = study.of(method=best)
+    values = list(seed_means(runs, study.tested).values())
     return {
         "Study": _link(entry, out_dir),
         "Use": best if _matches(entry) else "no advice",
@@ -274,20 +269,10 @@ def _forest(matches: Sequence[Match], families: Sequence[Method], out_dir: Path)
     numbers = looks(match.family.label for match in shown)
     rows = []
     for match in shown:
-        c = match.comparison
-        budget = "".join(f", {key}={value}" for key, value in c.method.budget)
-        rows.append(
-            Row(
-                match.family.name,
-                f"{match.entry.name}{budget}",
-                numbers[match.family.label],
-                c.difference,
-                match.joint,
-                joint=True,
-                significant=c.significant,
-                method_index=families.index(match.family),
-            )
-        )
+        c, family = match.comparison, match.family
+        label = ", ".join([match.entry.name, *(f"{key}={v}" for key, v in c.method.budget)])
+        how = numbers[family.label], c.difference, match.joint, True, c.significant
+        rows.append(Row(family.name, label, *how, families.index(family)))
     x_label = "PSNR above the baseline of the study (dB)"
     plot = Forest("leaderboard", "the baseline of the study", x_label, tuple(rows))
     alt = "Differences to the baseline by method and study"

@@ -98,6 +98,6 @@ def _joined(rows: Sequence[Mapping[str, str]], key: str) -> str:
 
 def scene_rows(names: set[str]) -> list[dict[str, str]]:
     """Published figures of scenes with these names, by scene."""
-    rows = [row for entry in literature() for row in entry.rows()]
+    rows = [{"method": entry.title, **row} for entry in literature() for row in entry.scenes]
     result = [r for r in rows if r["scene"] in names or r["scene"].removeprefix("llff_") in names]
     return sorted(result, key=lambda row: row["scene"])

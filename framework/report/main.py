@@ -41,10 +41,10 @@ def main(arguments: list[str], prog: str) -> int:
         " add --out DIR",
     )
     check_address_space()
-    from framework.report.build import built
+    from framework.report.build import build_report
 
     photos = not options.without_photos
-    report = built(options.study_dirs, options.title, options.out, photos, options.baseline)
+    report = build_report(options.study_dirs, options.title, options.out, photos, options.baseline)
     tell("report", report.path, report.verdict)
     require(
         len(report.study.runs) > 0,

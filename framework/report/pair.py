@@ -15,8 +15,7 @@ from framework.files.whole import make_folder
 from framework.metrics.values import AVERAGE, digits
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import RECORD, Run, read_run
-from framework.report.figures.chart import Picture, chart_picture
-from framework.report.figures.charts import pair_curves
+from framework.report.figures.charts import curves
 from framework.report.figures.pictures import draw_closeup
 from framework.report.gallery import gallery
 from framework.report.main import tell
@@ -36,18 +35,13 @@ METRICS = ("psnr", "ssim", "flip", "lpips", AVERAGE)
 
 @dataclass(frozen=True)
 class PairVerdict:
-    """Which run has the higher PSNR.
+    """Which run has the higher PSNR, and on how many of the common views."""
 
-    Attributes:
-        kind: a branch of the macro `pair_verdict`.
-        better: views on which the higher one is better, of so many.
-    """
-
-    kind: str
     high: ReportRun
     low: ReportRun
-    better: int = 0
-    views: int = 0
+    same_scene: bool
+    better: int
+    views: int
 
 
 def compare_runs(first: Path, second: Path, out_dir: Path) -> tuple[Path, str]:
@@ -63,11 +57,11 @@ def compare_runs(first: Path, second: Path, out_dir: Path) -> tuple[Path, str]:
     scenes = sorted({run.scene for run in runs})
     same = scenes if len(scenes) == 1 else []
     context = {
-        "pair": _verdict(one, other, same),
+        "pair": _verdict(one, other, bool(same)),
         "options": _options(one, other),
         "closeups": [picture for scene in same if (picture := draw_closeup(study, scene))],
         "views": _views(one, other) if same else [],
-        "curve": _curves(study),
+        "curves": [picture for scene in same if (picture := curves(study, scene))],
         "facts": _facts(study),
     }
     title = f"{other.method} compared with {one.method}"
@@ -115,16 +109,11 @@ def _flat(method: Method) -> Method:
     return replace(method, options=(*method.options, *method.budget), limits=(), capacity=())
 
 
-def _verdict(a: ReportRun, b: ReportRun, same: Sequence[str]) -> PairVerdict:
-    one, other = a.mean("psnr"), b.mean("psnr")
-    if not same:
-        return PairVerdict("other scenes", a, b)
-    if one is None or other is None:
-        return PairVerdict("no psnr", a, b)
-    high, low = (a, b) if one > other else (b, a)
+def _verdict(a: ReportRun, b: ReportRun, same_scene: bool) -> PairVerdict:
+    low, high = sorted((a, b), key=lambda run: run.mean("psnr") or 0.0)
     views = [view for view in a.psnr if view in b.psnr]
     better = sum(high.psnr[view] > low.psnr[view] for view in views)
-    return PairVerdict("equal" if one == other else "higher", high, low, better, len(views))
+    return PairVerdict(high, low, same_scene, better, len(views))
 
 
 def _options(a: ReportRun, b: ReportRun) -> list[Row]:
@@ -170,13 +159,6 @@ def _column(run: ReportRun, metric: str) -> Mapping[str, float]:
 
 def _text(value: float, places: int) -> str:
     return f"{value:.{places}f}" if math.isfinite(value) else ABSENT
-
-
-def _curves(study: Study) -> Picture | None:
-    chart = pair_curves(study.runs)
-    if chart is None:
-        return None
-    return chart_picture(study.out_dir, (chart,), "Quality over training time of both")
 
 
 def _facts(study: Study) -> list[Row]:

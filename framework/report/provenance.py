@@ -44,7 +44,10 @@ def _facts(sources: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
         return [outside(str(source.get(key))) for source in sources]
 
     return {
-        "Code": [f"{_git(p)}, sources {code(str(p.get('code'))[:12])}" for p in sources],
+        "Code": [
+            f"{_git(p) or 'no git checkout'}, sources {code(str(p.get('code'))[:12])}"
+            for p in sources
+        ],
         "Plugins": [_pairs(p.get("plugins") or {}, 12) for p in sources],
         "fishersplat": texts("fishersplat"),
         "Python": texts("python"),
@@ -61,11 +64,13 @@ def _facts(sources: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
     }
 
 
-def _git(source: Mapping[str, Any]) -> str:
+def _git(source: Mapping[str, Any], length: int | None = None) -> str:
+    """`git 80cf492d6c with local changes`; "" without a checkout."""
     state = source.get("git")
     if not state:
-        return "no git checkout"
-    return f"git {code(str(state['sha']))}{' with local changes' if state['dirty'] else ''}"
+        return ""
+    sha = code(str(state["sha"])) if length is None else outside(str(state["sha"])[:length])
+    return f"git {sha}{' with local changes' if state['dirty'] else ''}"
 
 
 def _pairs(values: Mapping[str, str | None], length: int) -> str:
@@ -74,11 +79,8 @@ def _pairs(values: Mapping[str, str | None], length: int) -> str:
 
 
 def code_of(source: Mapping[str, Any]) -> str:
-    """The code of a run, for a table: `git 80cf492d6c with local changes`."""
-    state = source.get("git")
-    if not state:
-        return f"sources {outside(str(source.get('code'))[:12])}"
-    return f"git {outside(str(state['sha'])[:10])}{' with local changes' if state['dirty'] else ''}"
+    """The code of a run, for a table."""
+    return _git(source, 10) or f"sources {outside(str(source.get('code'))[:12])}"
 
 
 def _times(study: Study) -> list[str]:

@@ -14,6 +14,7 @@ import numpy as np
 from framework.report.statistics.breakdown import Breakdown, break_down, gains_of_levels
 from framework.report.statistics.compare import Pairs, block
 from framework.report.statistics.estimates import Interval
+from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import by_pair
 from framework.report.study.axes import STRESSES, Axis
 from framework.report.study.methods import Method
@@ -48,13 +49,9 @@ class Panel:
 
     def means(self, method: Method) -> dict[float, float]:
         """Level -> mean PSNR in dB, where every run has one."""
-        means = {}
-        for level in self.levels:
-            values = [run.mean("psnr") for run in self.runs.get(method, {}).get(level, [])]
-            present = [value for value in values if value is not None]
-            if present and len(present) == len(values):
-                means[level] = float(np.mean(present))
-        return means
+        runs = self.runs.get(method, {})
+        means = {v: average([run.mean("psnr") for run in runs.get(v, [])]) for v in self.levels}
+        return {level: mean for level, mean in means.items() if mean is not None}
 
 
 @dataclass(frozen=True)
@@ -92,13 +89,11 @@ def panels(study: Study) -> list[Panel]:
     names = file_names(panel.title for panel in every)
     every = [replace(p, file=f"stress_{names[p.title]}_{p.axis.short}") for p in every]
     rich = [panel for panel in every if len(panel.levels) >= FEWEST_LEVELS]
-    return next((complete for complete in (rich, every) if _holds(complete, study)), [])
-
-
-def _holds(subset: Sequence[Panel], study: Study) -> bool:
-    """Whether each tested run is in one of the panels."""
-    shown = {run.run.run_dir for panel in subset for run in panel.all_runs}
-    return all(run.run.run_dir in shown for run in study.runs if run.tested)
+    tested = {run.run.run_dir for run in study.runs if run.tested}
+    for some in (rich, every):
+        if tested <= {run.run.run_dir for panel in some for run in panel.all_runs}:
+            return some
+    return []
 
 
 def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
@@ -149,11 +144,10 @@ def _panels_along(study: Study, axis: Axis) -> list[Panel]:
 
 def _panel(study: Study, axis: Axis, runs: list[ReportRun], levels: list[float]) -> Panel:
     cells: dict[Method, dict[float, list[ReportRun]]] = {}
-    for method in study.methods:
-        for run in runs:
-            level = run.level(axis)
-            if run.method == method and level is not None:
-                cells.setdefault(method, {}).setdefault(level, []).append(run)
+    for run in sorted(runs, key=lambda run: study.methods.index(run.method)):
+        level = run.level(axis)
+        if level is not None:
+            cells.setdefault(run.method, {}).setdefault(level, []).append(run)
     return Panel(_title(study, axis, runs[0]), axis, tuple(levels), cells)
 
 
@@ -179,22 +173,16 @@ def by_seed(values: Pairs) -> dict[int, float]:
     return {seed: float(np.mean(gain)) for seed, gain in by_place.items()}
 
 
-def _differences(runs: Sequence[ReportRun], base: Sequence[ReportRun]) -> dict[int, float]:
-    """Seed -> difference of `runs` to `base`, over the scenes that both have with it."""
-    difference, others = by_pair(runs), by_pair(base)
-    return by_seed({key: difference[key] - others[key] for key in difference if key in others})
-
-
 def _gains(study: Study, panel: Panel, method: Method) -> tuple[np.ndarray, np.ndarray] | None:
     """Levels [L] and gains [L, n] over the baseline, for the seeds both have at all levels, or at
     those that `block` keeps."""
     base = study.baseline_of(method)
     if base == method or base not in panel.runs:
         return None
-    result = [
-        _differences(panel.runs[method].get(v, []), panel.runs[base].get(v, []))
-        for v in panel.levels
-    ]
+    result = []  # seed -> gain of every level
+    for level in panel.levels:
+        ours, others = (by_pair(panel.runs[m].get(level, [])) for m in (method, base))
+        result.append(by_seed({key: ours[key] - others[key] for key in ours if key in others}))
     keys = [(k, seed) for k, values in enumerate(result) for seed in values]
     used, seeds = block(keys) if keys else ([], [])
     if len(used) < 2 or not seeds:

@@ -4,10 +4,12 @@ A missing value is `–`; "Missing metrics" lists the reason. A mean carries ± 
 95 % interval. Cells of a method hold the method, for the page's filter.
 """
 
+import math
 import os
 import shlex
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from urllib.parse import quote
 
 import numpy as np
@@ -39,7 +41,7 @@ from framework.report.statistics.numbers import (
     format_span,
 )
 from framework.report.statistics.outcomes import seed_means
-from framework.report.statistics.robustness import failure_rate, worst_case
+from framework.report.statistics.robustness import failures, wilson
 from framework.report.statistics.variance import SigmaComparison
 from framework.report.stress import Panel
 from framework.report.study.methods import Method
@@ -118,11 +120,10 @@ def heading_of(metric: str, study: Study | None = None) -> str:
     """The heading of a metric's column; LPIPS with the network of the runs, if they name it."""
     if metric not in NAMES:  # a metric of a plugin
         return outside(metric)
-    unit = UNITS.get(metric, "↓")
-    networks = study.lpips_networks if study is not None and metric in LPIPS else []
-    if not networks:
-        return f"{NAMES[metric]} {unit}"
-    return f"LPIPS ({', '.join(networks)}){NAMES[metric].removeprefix('LPIPS')} {unit}"
+    name = NAMES[metric]
+    if study is not None and metric in LPIPS and study.lpips_networks:
+        name = name.replace("LPIPS", f"LPIPS ({', '.join(study.lpips_networks)})")
+    return f"{name} {UNITS.get(metric, '↓')}"
 
 
 def measured(study: Study) -> list[str]:
@@ -150,11 +151,10 @@ def results(study: Study) -> dict[Method, dict[str, Result | None]]:
 
 def results_rows(results: Mapping[Method, Mapping[str, Result | None]]) -> list[Row]:
     """A row per method."""
-    rows: list[Row] = []
-    for method, columns in results.items():
-        cells = {heading_of(metric): result or ABSENT for metric, result in columns.items()}
-        rows.append({"Method": method, **cells})
-    return rows
+    return [
+        {"Method": method, **{heading_of(metric): r or ABSENT for metric, r in columns.items()}}
+        for method, columns in results.items()
+    ]
 
 
 def _results(study: Study, metric: str) -> dict[Method, Result]:
@@ -166,10 +166,7 @@ def _results(study: Study, metric: str) -> dict[Method, Result]:
             column[method] = Result(float(np.mean(values)), sigma, PLACES[metric])
     order = sorted({float(r.text) for r in column.values()}, reverse=metric not in LOWER)
     ranks = {value: k + 1 for k, value in enumerate(order[:2])} if len(column) > 1 else {}
-    return {
-        method: Result(r.mean, r.sigma, r.places, ranks.get(float(r.text), 0))
-        for method, r in column.items()
-    }
+    return {m: replace(r, rank=ranks.get(float(r.text), 0)) for m, r in column.items()}
 
 
 def main_rows(study: Study, scenes: Sequence[str]) -> list[Row]:
@@ -302,35 +299,38 @@ def worst_rows(study: Study) -> list[Row]:
     scenes = study.tested if study.runs else sorted({run.scene for run in study.failed})
     for scene in scenes:
         for method in study.tried:
-            rate = failure_rate(study, method, scene)
-            if rate is not None:
-                low, high = (f"{100 * end:.0f}" for end in (rate.interval.low, rate.interval.high))
-                failed = f"{rate.failed} of {rate.n} [{low} to {high} %]"
-                row: Row = {"Scene": scene, "Method": method}
-                rows.append({**row, **_worst_cells(study.of(scene, method)), "Failed runs": failed})
+            failed, n = failures(study, method, scene)
+            if n > 0:
+                share = wilson(failed, n)
+                text = f"{failed} of {n} [{100 * share.low:.0f} to {100 * share.high:.0f} %]"
+                cells = _worst_cells(study.of(scene, method))
+                rows.append({"Scene": scene, "Method": method, **cells, "Failed runs": text})
     return rows if len(scenes) > 1 else without(rows, "Scene")
 
 
 def _worst_cells(runs: list[ReportRun]) -> Row:
-    worst = worst_case(runs)
-    if worst is None:
-        headings = ("Worst seed (dB)", "Worst view (dB)", "5th percentile of views (dB)")
-        return dict.fromkeys(headings, ABSENT)
-    return {
-        "Worst seed (dB)": f"{worst.run_psnr:.2f} (seed {worst.run_seed})",
-        "Worst view (dB)": f"{worst.view_psnr:.2f} ({outside(worst.view)}, seed {worst.view_seed})",
-        "5th percentile of views (dB)": f"{worst.percentile:.2f}",
-    }
+    """The worst mean of a run and the worst views; `–` if no view has a finite PSNR."""
+    cells = (ABSENT,) * 3
+    views = [(psnr, run.seed, view) for run in runs for view, psnr in run.psnr.items()]
+    finite = [view for view in views if not math.isnan(view[0])]
+    means = [(psnr, run.seed) for run in runs if (psnr := run.mean("psnr")) is not None]
+    if finite and means:
+        (mean, seed), (lowest, of_view, view) = min(means), min(finite)
+        percentile = np.percentile([psnr for psnr, _, _ in finite], 5)
+        worst_view = f"{lowest:.2f} ({outside(view)}, seed {of_view})"
+        cells = f"{mean:.2f} (seed {seed})", worst_view, f"{percentile:.2f}"
+    headings = ("Worst seed (dB)", "Worst view (dB)", "5th percentile of views (dB)")
+    return dict(zip(headings, cells, strict=True))
 
 
 def dose_rows(study: Study) -> list[Row]:
     """Return the dose of each method from the trainer's counts; no rows without counts."""
-    rows: list[Row] = []
-    for scene in study.scenes:
-        for method in study.methods:
-            runs = [run for run in study.of(scene, method) if run.record.dose]
-            if runs:
-                rows.append({"Scene": scene, "Method": method, **_dose_cells(runs)})
+    rows: list[Row] = [
+        {"Scene": scene, "Method": method, **_dose_cells(runs)}
+        for scene in study.scenes
+        for method in study.methods
+        if (runs := [run for run in study.of(scene, method) if run.record.dose])
+    ]
     return rows if len(study.scenes) > 1 else without(rows, "Scene")
 
 
@@ -401,11 +401,10 @@ def stress_rows(panel: Panel) -> list[Row]:
     """A row per method, a column per strength: mean PSNR in dB."""
     rows: list[Row] = []
     for method, by_level in panel.runs.items():
-        row: Row = {"Method": method}
+        rows.append({"Method": method})
         for level in panel.levels:
             values = [run.mean("psnr") for run in by_level.get(level, [])]
-            row[f"{panel.axis.short} = {level:g}"] = format_mean(values, 2, show_half=True)
-        rows.append(row)
+            rows[-1][f"{panel.axis.short} = {level:g}"] = format_mean(values, 2, show_half=True)
     return rows
 
 
@@ -428,13 +427,12 @@ def _again(run: FailedRun) -> str:
 
 def missing_metrics(study: Study) -> list[tuple[str, int, str]]:
     """(metric, number of runs without it, reason), sorted."""
-    counts: dict[tuple[str, str], int] = {}
-    for run in study.runs:
-        for metric in (*METRICS, *study.other_metrics):
-            value = run.record.summary.get(metric)
-            if isinstance(value, Missing) and value != NOT_REQUESTED:
-                key = (NAMES.get(metric, outside(metric)), outside(value.reason))
-                counts[key] = counts.get(key, 0) + 1
+    counts = Counter(
+        (NAMES.get(metric, outside(metric)), outside(value.reason))
+        for run in study.runs
+        for metric in (*METRICS, *study.other_metrics)
+        if isinstance(value := run.record.summary.get(metric), Missing) and value != NOT_REQUESTED
+    )
     return [(metric, n, reason) for (metric, reason), n in sorted(counts.items())]
 
 

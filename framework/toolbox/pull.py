@@ -68,17 +68,7 @@ class PullCapacity(Capacity):
         return Pull(state.total[old] * (rows >= 0), state.seen[old] * (rows >= 0))
 
     def measured(self, state: Pull, stats: StepStats) -> Pull:
-        """`state` with the step of `stats` added.
-
-        Raises:
-            ValueError: when they are of two sets.
-        """
-        n = len(state.total)
-        if len(stats.radii) != n or len(stats.means2d_grad) != n:
-            raise ValueError(
-                f"capacity={self.name}: expected step statistics of {n} Gaussians as in the state,"
-                f" got {len(stats.means2d_grad)} gradients and {len(stats.radii)} radii"
-            )
+        """`state` with the step of `stats` added."""
         from framework.compute.tensors import root
 
         visible = stats.radii > 0
@@ -90,5 +80,5 @@ class PullCapacity(Capacity):
         norm = root(u + v)
         seen = visible.float()
         if self.counts_dropped() and stats.factors is not None:
-            seen /= (stats.factors > 0).float().mean().clamp(min=1 / n)
+            seen /= (stats.factors > 0).float().mean().clamp(min=1 / len(seen))
         return Pull(state.total + norm * visible, state.seen + seen)

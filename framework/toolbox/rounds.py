@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from framework.errors import require
 from framework.plugin import Edits, StepContext, StepStats
@@ -167,23 +167,16 @@ def training_information(ctx: StepContext) -> TrainingInformation:
     where a photo's mask ends, and other views see them (docs/decisions.md)."""
     from framework.fisher.information import FisherInformation
 
-    total, colours = None, []
+    block: Any = 0
+    diagonal: Any = 0
+    visible: Any = False
+    colours = []
     for view in ctx.views:
         of_view = ctx.fisher(view.camera)
+        block, diagonal = of_view.block.double() + block, of_view.diagonal.double() + diagonal
+        visible = of_view.visible | visible
         colours.append(of_view.diagonal[:, SH0:].clone())
-        if total is None:
-            total = FisherInformation(
-                of_view.block.double(), of_view.diagonal.double(), of_view.visible
-            )
-        else:
-            total = FisherInformation(
-                total.block + of_view.block,
-                total.diagonal + of_view.diagonal,
-                total.visible | of_view.visible,
-            )
-    if total is None:
-        raise ValueError("training_information: expected at least one training view")
-    return TrainingInformation(total, tuple(colours))
+    return TrainingInformation(FisherInformation(block, diagonal, visible), tuple(colours))
 
 
 def _edits(gaussians: Gaussians, keep: Tensor, pull: Tensor, n_split: int) -> Edits:

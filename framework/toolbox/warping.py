@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from framework.types import Camera, Gaussians, View
-    from framework.warp.zbuffer import Support
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ class WarpingAugmenter(Augmenter):
         supports = ctx.supports()
         warped = warp([supports[i] for i in chosen], camera, temperature=self.temperature)
         # relative to the frame, a scene whose depth covers half of it would have no pseudo view
-        possible = known_share(supports)
+        possible = sum(support.known for support in supports) / len(supports)
         covered = warped.coverage / possible if possible > 0 else 0.0
         self._log_supports(ctx, chosen, camera)
         ctx.log(f"{self.name}_coverage", warped.coverage)
@@ -207,11 +206,6 @@ def center_distances(views: Sequence[View], camera: Camera) -> list[float]:
     from framework.geometry import distance
 
     return [distance(view.camera, camera) for view in views]
-
-
-def known_share(supports: Sequence[Support]) -> float:
-    """Return the share of the frame that confident depth covers, mean over `supports`."""
-    return sum(support.known for support in supports) / len(supports)
 
 
 def perturbed(

@@ -17,42 +17,25 @@ NONE = (0, 0.0)
 NEVER = "never asked"
 
 
-class Dose:
-    """The tallies of one training."""
+class Dose(dict[str, tuple[int, float]]):
+    """The tallies of one training. A name that is set to `NONE` is recorded even if it stays so."""
 
-    def __init__(self) -> None:
-        self._tallies: dict[str, tuple[int, float]] = {}
+    def __missing__(self, name: str) -> tuple[int, float]:
+        return NONE
 
-    def open(self, *names: str) -> None:
-        """Name a tally, so that it is recorded even if it stays 0."""
-        for name in names:
-            self._tallies.setdefault(name, NONE)
-
-    def add(self, name: str, value: float = 0.0) -> None:
+    def add(self, name: str, value: float = 0.0, times: int = 1) -> None:
         """Count one more, with this value."""
         count, total = self[name]
-        self._tallies[name] = count + 1, total + float(value)
-
-    def __getitem__(self, name: str) -> tuple[int, float]:
-        return self._tallies.get(name, NONE)
-
-    def kept(self) -> dict[str, tuple[int, float]]:
-        """The tallies for a checkpoint."""
-        return dict(self._tallies)
-
-    def load(self, kept: Tallies) -> None:
-        """Continue from the tallies of a checkpoint."""
-        self._tallies = dict(kept)
+        self[name] = count + times, total + float(value)
 
 
 def joined(parts: Iterable[Tallies]) -> Tallies:
     """The tallies of several trainings together."""
-    whole: dict[str, tuple[int, float]] = {}
+    whole = Dose()
     for part in parts:
         for name, (count, total) in part.items():
-            before = whole.get(name, NONE)
-            whole[name] = before[0] + count, before[1] + total
-    return whole
+            whole.add(name, total, count)
+    return dict(whole)
 
 
 def summary(of: Tallies) -> Summary:

@@ -82,12 +82,9 @@ class Items:
         return kept[2]
 
     def _made(self, view: View, factor: int) -> Item:
-        small = _smaller_view(view, factor)
-        covered = self._covered and view.pseudo
-        return self._item(_over_covered(small) if covered else small)
-
-    def _item(self, view: View) -> Item:
-        device, smoothing = self._rasterizer.device, None
+        view, device, smoothing = _smaller_view(view, factor), self._rasterizer.device, None
+        if self._covered and view.pseudo:
+            view = _over_covered(view)
         target = self._rasterizer.losses().target(view.image, view.mask, device)
         if self._smoothness is not None and not view.pseudo:
             smoothing = self._smoothness.weights(view).to(device)

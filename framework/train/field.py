@@ -114,19 +114,8 @@ def _placed(edits: Edits, device: torch.device) -> Edits:
 
 def rows_after(params: Gaussians, edits: Edits) -> Tensor:
     """[N'] int64: for every Gaussian after the edits its previous row, -1 for an appended one."""
-    n, added = len(params), 0 if edits.append is None else len(edits.append)
-    rows = torch.arange(n)
-    if edits.keep is not None:
-        rows = rows[edits.keep]
-    if edits.bands is not None:  # those that keep theirs come first, see `Gaussians.with_bands`
-        banded = (rows < len(params.shN)) & edits.bands[rows]
-        rows = torch.cat([rows[banded], rows[~banded]])
-    if edits.append is None:
-        return rows
-    new = torch.full((added,), -1)
-    banded_before = (
-        int((rows < len(params.shN)).sum()) if edits.bands is None else int(banded.sum())
-    )
-    banded_new = len(edits.append.shN)  # see `concatenate`
-    parts = [rows[:banded_before], new[:banded_new], rows[banded_before:], new[banded_new:]]
-    return torch.cat(parts)
+    rows = torch.arange(len(params), dtype=torch.float64)
+    marked, new = params.detach().to("cpu").replace(means=rows[:, None].expand(-1, 3)), edits.append
+    if new is not None:
+        new = new.replace(means=torch.full((len(new), 3), -1.0, dtype=torch.float64))
+    return edited(marked, edits.keep, edits.bands, new).means[:, 0].long()

@@ -20,7 +20,7 @@ from framework.registry import ActivePlugin
 from framework.train import hooks
 from framework.train.context import CPU, Conditions, Moment, on_cpu, step_context
 from framework.train.descent import Gradients, Regularization
-from framework.train.dose import REFUSED, Dose
+from framework.train.dose import NONE, REFUSED, Dose
 from framework.train.gradient import Penalty
 from framework.train.resume.training_state import Plugins, PluginState
 from framework.types import PSEUDO, Gaussians, Render, View
@@ -76,11 +76,6 @@ class RunningPlugin:
         with hooks.checked_call(self.plugin, hook, ctx.step, ctx.gaussians, ctx.other, *renders):
             return getattr(self.plugin, hook)(ctx, *arguments)
 
-    def span(self) -> str:
-        """The options that bound its activity, for messages."""
-        start, stop = self.chosen.start, self.chosen.stop
-        return f"{self.key}.start={start:g} and {self.key}.stop={stop:g}"
-
 
 class PluginCalls:
     """The plugins of one field of a training.
@@ -104,7 +99,7 @@ class PluginCalls:
             self.absolute = any(r.plugin.wants_absolute() for r in self._capacities)
         for running in (self._augment, *self._regs):
             if not running.idle:
-                dose.open(f"{running.key}.asked")
+                dose.setdefault(f"{running.key}.asked", NONE)
 
     def pseudo_views(self, now: Moment) -> list[View]:
         """Return the pseudo views of the epoch that starts, weighted and tagged."""
@@ -223,9 +218,9 @@ class PluginCalls:
 
     def warn_of_no_effect(self) -> None:
         """Warn about methods with little or no effect."""
-        self._warn_of_augmenter()
-        for running in self._regs:
-            self._warn_of_regularizer(running)
+        for running in (self._augment, *self._regs):
+            if not running.idle:
+                self._warn_of_calls(running)
         for running in self._capacities:
             self._warn_of_capacity(running)
 
@@ -243,42 +238,21 @@ class PluginCalls:
                 f" set when it acts, see --help {name}"
             )
 
-    def _warn_of_augmenter(self) -> None:
-        calls, acts = self._dose["augment.asked"]
-        name = hooks.plugin_name(self._augment.plugin)
-        if calls == 0 and not self._augment.idle:
+    def _warn_of_calls(self, running: RunningPlugin) -> None:
+        calls, acted = self._dose[f"{running.key}.asked"]
+        refused = self._dose[f"log.augment.{REFUSED}coverage"][0]
+        what, why = "epochs", f"; in {refused} the coverage was below augment.min_coverage"
+        if running is not self._augment:
+            what, why, acted = "training steps", "", self._dose[f"{running.key}.acted"][0]
+        name, key, chosen = hooks.plugin_name(running.plugin), running.key, running.chosen
+        span = f"between {key}.start={chosen.start:g} and {key}.stop={chosen.stop:g}"
+        if calls == 0:
             LOG.warning(
-                f"{name}: was never called, so it had no effect: no epoch of"
-                f" {len(self._conditions.training.views)} photos begins between"
-                f" {self._augment.span()} of {self._conditions.options.steps} steps; train longer"
-                " or change augment.start"
+                f"{name}: was never called, so it had no effect: none of its {what} begins {span}"
+                f" of {self._conditions.options.steps} steps; train longer, or change {key}.start"
             )
-        elif acts == 0 and calls > 0:
-            LOG.warning(
-                f"{name}: made no pseudo view in any of {calls} epochs, so it had no effect;"
-                " history.csv has what it logged, for instance the coverage, which"
-                " augment.min_coverage bounds"
-            )
-        elif acts < HALF * calls:
-            refused = self._dose[f"log.augment.{REFUSED}coverage"][0]
-            LOG.warning(
-                f"{name}: made a pseudo view in only {acts:.0f} of {calls} epochs; in {refused} the"
-                " coverage was below augment.min_coverage"
-            )
-
-    def _warn_of_regularizer(self, running: RunningPlugin) -> None:
-        calls, acts = (self._dose[f"{running.key}.{what}"][0] for what in ("asked", "acted"))
-        name = hooks.plugin_name(running.plugin)
-        if calls == 0 and not running.idle:
-            LOG.warning(
-                f"{name}: was never called in {self._conditions.options.steps} steps, so it had no"
-                f" effect: no step lies between {running.span()}"
-            )
-        if acts < HALF * calls:
-            LOG.warning(
-                f"{name}: changed only {acts} of the {calls} training steps between"
-                f" {running.span()}"
-            )
+        elif acted < HALF * calls:
+            LOG.warning(f"{name}: acted in only {acted:.0f} of {calls} {what} {span}{why}")
 
     def _count_act(self, running: RunningPlugin, acted: bool) -> None:
         """Count that a plugin acts in this update, once for all its views."""

@@ -40,7 +40,8 @@ from framework.train.epoch import Item, Items, ordered
 from framework.train.field import Field
 from framework.train.gradient import Rendering
 from framework.train.plugin_calls import PluginCalls
-from framework.train.resume.training_state import Keeper, Plugins, Trained, TrainerState
+from framework.train.resume.checkpoint import Checkpoints
+from framework.train.resume.training_state import Plugins, Trained, TrainerState
 from framework.types import DepthMap, Gaussians, TrainingSet, View
 
 LOG = logging.getLogger(__name__)
@@ -73,7 +74,7 @@ class Trainer:
         seed: int,
         progress: Progress,
         evaluate: Evaluate | None = None,
-        keeper: Keeper | None = None,
+        keeper: Checkpoints | None = None,
         start: TrainerState | None = None,
         sh_from: int = 0,
         warns: bool = True,
@@ -107,7 +108,9 @@ class Trainer:
             " option off, for instance capacity.absolute=false",
         )
         self.second = self._second_field(plugins, gaussians, second)
-        self.items = Items(options.pseudo_mean == "covered", rasterizer, self._smoothness())
+        weight = options.depth_smoothness
+        smooth = DepthSmoothness(weight, self.conditions.spacing) if weight > 0 else None
+        self.items = Items(options.pseudo_mean == "covered", rasterizer, smooth)
         self.binocular = self._binocular()
         self.pseudo: list[View] = []
         self.queue: list[tuple[View, ...]] = []
@@ -166,7 +169,7 @@ class Trainer:
             self.watch.wall_s,
             self.watch.cpu_s,
             self.resumed,
-            self.dose.kept(),
+            dict(self.dose),
         )
 
     def _train_step(self) -> tuple[float, StepStats]:
@@ -271,10 +274,6 @@ class Trainer:
 
         field.plugins.edits(self._now(0, field, other), stats, apply)
 
-    def _smoothness(self) -> DepthSmoothness | None:
-        weight = self.options.depth_smoothness
-        return DepthSmoothness(weight, self.conditions.spacing) if weight > 0 else None
-
     def _binocular(self) -> Binocular | None:
         weight, since = self.options.binocular, self.options.binocular_from
         if weight == 0:
@@ -343,7 +342,7 @@ class Trainer:
             pseudo=tuple(self.pseudo),
             history=tuple(self.history),
             logged=dict(self.field.plugins.logged),
-            dose=self.dose.kept(),
+            dose=dict(self.dose),
             psnr=self.psnr,
             wall_s=self.watch.wall_s,
             cpu_s=self.watch.cpu_s,
@@ -358,7 +357,7 @@ class Trainer:
             self.second.load(state.second)
         self.pseudo = list(state.pseudo)
         self.queue = self._ordered()[: state.left] if state.left else []
-        self.dose.load(state.dose)
+        self.dose.update(state.dose)
         self.history = list(state.history)
         self.psnr, self.resumed = state.psnr, state.resumed + 1
         self.watch = Stopwatch(state.wall_s, state.cpu_s)

@@ -148,13 +148,9 @@ def copies(files: Sequence[Path]) -> list[str]:
     Raises:
         UserError: for a file that is no image.
     """
-    return [_copy(file, _longest(len(files))) for file in files]
-
-
-def _longest(count: int) -> int:
-    """Pixels of the longer side, so that `count` copies keep to the budget."""
-    pixels = BYTES / max(1, count) / BYTES_PER_PIXEL
-    return int(min(LONGEST, max(SHORTEST, (pixels * 4 / 3) ** 0.5)))
+    pixels = BYTES / max(1, len(files)) / BYTES_PER_PIXEL  # of a copy, to keep to the budget
+    longest = int(min(LONGEST, max(SHORTEST, (pixels * 4 / 3) ** 0.5)))
+    return [_copy(file, longest) for file in files]
 
 
 def _copy(file: Path, longest: int) -> str:

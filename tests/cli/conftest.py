@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
 
 import framework.report
 from framework.command import runner
@@ -20,6 +21,12 @@ from framework.errors import UserError
 
 def composed(*overrides: str) -> dict[str, Any]:
     return copy.deepcopy(_composed(overrides))
+
+
+def last_values(sweep: Path) -> dict[str, str]:
+    """The last value of everything a sweep varies: one start instead of a hundred."""
+    params = OmegaConf.load(sweep).hydra.sweeper.params
+    return {str(key): str(values).split(",")[-1] for key, values in params.items()}
 
 
 @dataclass

@@ -4,12 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
-from omegaconf import OmegaConf
 
 from framework.command.cli import main
 from framework.command.config.schema import ROOT, SWEEPS_DIR
 from framework.command.subcommands import SUBCOMMANDS
-from tests.cli.conftest import FakeRuns
+from tests.cli.conftest import FakeRuns, last_values
 
 PAGES = [
     ROOT / "CONTRIBUTING.md",
@@ -39,12 +38,6 @@ def test_every_command_of_the_documents_runs(
     inputs = {word.split("=")[0] for word in words}
     for word in list(words):
         if word.startswith("sweep="):
-            last = _one_run(word.removeprefix("sweep="))
-            words += [value for value in last if value.split("=")[0] not in inputs]
+            last = last_values(SWEEPS_DIR / f"{word.removeprefix('sweep=')}.yaml")
+            words += [f"{key}={value}" for key, value in last.items() if key not in inputs]
     assert main(words) == 0, capsys.readouterr().err
-
-
-def _one_run(sweep: str) -> list[str]:
-    """The last value of everything a sweep varies: one start instead of a hundred."""
-    params = OmegaConf.load(SWEEPS_DIR / f"{sweep}.yaml").hydra.sweeper.params
-    return [f"{name}={str(values).split(',')[-1]}" for name, values in params.items()]

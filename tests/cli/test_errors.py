@@ -77,6 +77,8 @@ CASES = {
     "~reg": ["reg: expected a choice, got none; write reg=NAME"],
     "scene.path=photos": ["; for a folder of photos add scene=photos"],
     "report": ["report: the following arguments are required: DIR; usage: "],
+    "study status": ["expected a submitted study, found none"],
+    "study submit hydra/launcher=ray seed=0,1": ["ray job submit"],
     "study status foo --dir none": ["none: expected the submission 'foo', found"],
     "render RUN --cameras /nope": ["--cameras: expected a cameras.json as 3DGS "],
     "view .": ["nor runs; name one as reports/STUDY/runs/RUN"],

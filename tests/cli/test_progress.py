@@ -1,7 +1,6 @@
 """The progress line: sparse on a pipe, in place on a terminal."""
 
 import io
-from collections.abc import Iterator
 
 import pytest
 
@@ -30,12 +29,6 @@ def told(pace_s: float, in_place: bool, steps: int = 800) -> str:
     return stream.getvalue()
 
 
-@pytest.fixture
-def columns(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
-    monkeypatch.setenv("COLUMNS", "160")
-    yield monkeypatch
-
-
 def test_a_pipe_gets_a_line_every_tenth() -> None:
     lines = told(1 / 41, in_place=False).splitlines()
     assert len(lines) == 12
@@ -48,7 +41,8 @@ def test_a_pipe_gets_a_line_every_tenth() -> None:
     assert "test" not in lines[0]
 
 
-def test_a_terminal_gets_one_line_in_place(columns: pytest.MonkeyPatch) -> None:
+def test_a_terminal_gets_one_line_in_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
     text = told(1 / 41, in_place=True)
     assert text.count("\n") == 1
     assert "step 800/800 · 0 s left · test 22.31 dB · loss 0.0412 · 39957 Gaussians" in text

@@ -200,17 +200,3 @@ def test_a_missing_extra_is_named(
     assert supported.missing_extra("ray") == "ray" and supported.missing_extra("joblib") is None
     assert cli.main(["study", "submit", "seed=0,1"]) == 2
     assert "pip install 'fishersplat[submitit]'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("study status", "expected a submitted study, found none"),
-        ("study submit hydra/launcher=ray seed=0,1", "ray job submit"),
-    ],
-)
-def test_study_in_one_line(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str], line: str, expected: str
-) -> None:
-    assert cli.main(line.split()) == 2
-    assert expected in capsys.readouterr().err

@@ -40,6 +40,6 @@ def test_a_report_without_memory(
     def fail(*_: object) -> None:
         raise MemoryError("Unable to allocate 9 GiB")
 
-    monkeypatch.setattr("framework.report.build.built", fail)
+    monkeypatch.setattr("framework.report.build.build_report", fail)
     assert main(["report", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("error: memory: expected room")

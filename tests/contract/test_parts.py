@@ -20,7 +20,7 @@ from framework.errors import UserError
 from framework.metrics.evaluate import plugged
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
-from framework.plugin import DepthProvider, Initializer, Metric, SceneLoader
+from framework.plugin import DepthProvider, Initializer, Metric
 from framework.run import answers
 from framework.run.plane import textured_plane
 from framework.run.training import initial
@@ -199,14 +199,6 @@ def test_wrong_gaussians_name_their_initializer(monkeypatch: pytest.MonkeyPatch)
 
 def test_what_cannot_be_a_part_is_refused() -> None:
     @dataclass(frozen=True)
-    class Bare:
-        """Not derived."""
-
-    @dataclass(frozen=True)
-    class Idle(Initializer):
-        """Builds nothing."""
-
-    @dataclass(frozen=True)
     class Needy(Metric):
         """needs: something."""
 
@@ -222,22 +214,11 @@ def test_what_cannot_be_a_part_is_refused() -> None:
         def measure(self, training: Any) -> Any:
             return ()
 
-    @dataclass(frozen=True)
-    class Named(SceneLoader):
-        """name: of every plugin."""
-
-        name: str = ""  # type: ignore[misc]
-
-        def load(self) -> Any: ...
-
     for group, name, cls, message in [
-        ("init", "bare", Bare, "derived from framework.plugin.Initializer"),
-        ("init", "idle", Idle, "expected the method `build`"),
+        ("init", "mine", Taken, "derived from framework.plugin.Initializer"),
         ("metric", "needy", Needy, "expected a default for 'needs'"),
         ("metric", "psnr", Needy, "expected another name"),
         ("depth", "file", Taken, "two plugins claim this name"),
-        ("depth", "Two Words", Taken, "expected a name of lower-case letters"),
-        ("scene", "named", Named, "got a field 'name'"),
         ("depht", "own", Taken, "unknown group depht; did you mean 'depth'"),
     ]:
         with pytest.raises(UserError, match=message):

@@ -16,20 +16,15 @@ ALL = [(group, name) for group in registry.GROUPS for name in sorted(registry.ta
 
 @pytest.mark.parametrize(("group", "name"), ALL)
 def test_it_builds_from_its_defaults(group: str, name: str) -> None:
-    """And is frozen, documented, and has a type and a default for every option."""
+    """And is documented, and has a default for every option."""
     plugged = registry.build(group, {"name": name})
     assert isinstance(plugged.plugin, BASES[group])
     assert (plugged.plugin.group, plugged.plugin.name) == (group, name)
     assert plugged.weight >= 0
     cls = registry.lookup(group, name)
-    assert dataclasses.is_dataclass(cls)
-    assert cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
     assert cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
-    for option, kind, field in registry.option_fields(cls):
-        assert kind is not None
+    for option, _, field in registry.option_fields(cls):
         assert field.default is not dataclasses.MISSING, option
-    ours = {field.name for field in dataclasses.fields(cls)}
-    assert not ours & {"name", *registry.FRAMEWORK_KEYS}
 
 
 def test_an_option_of_another_type_is_told_by_its_plugin() -> None:

@@ -125,7 +125,7 @@ def _study(folder: Path) -> None:
 
 def _reported(folder: Path) -> None:
     """The report always lists the sound run, and each damaged one in a line."""
-    path = build_report(folder)
+    path = build_report(folder).path
     message = path.read_text(encoding="utf-8")
     assert "(runs/sound/)" in message, "the sound run is missing"
     (folder / "report.html").read_text(encoding="utf-8")

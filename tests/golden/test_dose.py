@@ -245,9 +245,9 @@ def test_a_method_that_acts_on_less_than_half_is_told(caplog: pytest.LogCaptureF
         train(plugins(**darker(every=3), reg=ActivePlugin(Rare())), steps=15)
     messages = [record.getMessage() for record in caplog.records]
     assert messages == [
-        "augment=Darker: made a pseudo view in only 2 of 5 epochs; in 0 the coverage was below"
-        " augment.min_coverage",
-        "reg=Rare: changed only 5 of the 15 training steps between reg.start=0 and reg.stop=1",
+        "augment=Darker: acted in only 2 of 5 epochs between augment.start=0 and augment.stop=1; in"
+        " 0 the coverage was below augment.min_coverage",
+        "reg=Rare: acted in only 5 of 15 training steps between reg.start=0 and reg.stop=1",
     ]
 
 

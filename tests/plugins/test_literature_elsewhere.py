@@ -110,24 +110,6 @@ def test_what_returns_counts_by_the_largest_depth(monkeypatch: pytest.MonkeyPatc
     assert shares == {"cycle_warp_share": 5 / 8}
 
 
-def test_what_does_not_return_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A wall at 4 and, for the other camera alone, something before its left half."""
-    ctx = at_work()
-    view = ctx.views[0]
-    ours = ctx.render(view.camera, ctx.gaussians)
-    flat = replace(ours, depth=torch.full_like(ours.depth, 4.0), alpha=torch.ones_like(ours.alpha))
-    hidden = flat.depth.clone()
-    hidden[:, : hidden.shape[1] // 2] = 3.5
-    other = replace(flat, rgb=1 - view.image, depth=hidden)
-    monkeypatch.setattr("plugins.regularize.cycle_warp.unseen_camera", lambda *_: view.camera)
-    shares: dict[str, float] = {}
-    looking = replace(ctx, render=lambda *_, **__: other, log=shares.__setitem__)
-    for tolerance, expected in ((0.01, 0.5), (0.2, 1.0)):
-        loss = CycleWarp(tolerance=tolerance).loss(looking, None, view, flat)
-        assert loss is not None
-        assert shares["cycle_warp_share"] == pytest.approx(expected, abs=0.03)
-
-
 def test_consistency_compares_with_a_render_that_lacks_some() -> None:
     ctx = at_work()
     view, plugin = ctx.views[0], RenderConsistency(p=0.4, ssim_weight=0.0)

@@ -97,5 +97,5 @@ def called(study: Study, label: str) -> Method:
 def first_screen(folder: Path, **options: object) -> str:
     """The text of a report before its first section."""
     out = folder.with_name(f"{folder.name}_report")
-    text = build_report(folder, out_dir=out, **options).read_text(encoding="utf-8")  # type: ignore[arg-type]
+    text = build_report(folder, out_dir=out, **options).path.read_text(encoding="utf-8")  # type: ignore[arg-type]
     return text.partition("\n## ")[0]

@@ -41,7 +41,7 @@ def test_an_archive_holds_what_the_runs_hold(study: Path, tmp_path: Path) -> Non
     text = (study / ARCHIVE).read_text()
     shutil.rmtree(study / "runs")
     assert _figures(study) == before
-    report = build_report(study, out_dir=tmp_path / "again").read_text()
+    report = build_report(study, out_dir=tmp_path / "again").path.read_text()
     assert "no pictures" in report and "broken" in report and "Worst case" in report
     assert (tmp_path / "again" / ARCHIVE).read_text() == text
 

@@ -27,7 +27,7 @@ def test_the_page_works_in_a_browser(tmp_path: Path) -> None:
             fake_run(
                 tmp_path, augment, seed=seed, gain=gain, scene=HOSTILE, run_name=f"{augment}{seed}"
             )
-    page = build_report(tmp_path).with_name("report.html")
+    page = build_report(tmp_path).path.with_name("report.html")
     command = [node, str(SCRIPT), library, browser, page.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from framework.report import build_report
 from framework.report.costs import cheapest, entries, paying, train_s
-from framework.report.findings import contests
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 from tests.report.studies import Row, first_screen, labelled, row, table
@@ -77,12 +76,9 @@ def test_the_smallest_file_and_the_least_time_that_are_as_good_are_named(tmp_pat
     result = cheapest(study, "a")
     assert result is not None and result.smallest is not None and result.quickest is not None
     assert result.best.method.label == "safi + none"
-    as_good = {m: k for m, k in (("smallest", result.smallest), ("quickest", result.quickest))}
-    assert {m: entry.method.label for m, entry in as_good.items()} == {
-        "smallest": "dba + none",
-        "quickest": "none + none",
-    }
-    text = build_report(tmp_path / "t", out_dir=tmp_path / "out").read_text(encoding="utf-8")
+    assert result.smallest.method.label == "dba + none"
+    assert result.quickest.method.label == "none + none"
+    text = build_report(tmp_path / "t", out_dir=tmp_path / "out").path.read_text(encoding="utf-8")
     assert re.search(r"DBA has the smallest file .*5\.00 MB", text)
     assert re.search(r"Baseline takes the least time .*5\.0 s", text)
 
@@ -96,17 +92,3 @@ def test_the_best_is_chosen_by_pairs(tmp_path: Path) -> None:
     psnr = labelled(actual.psnr)
     assert psnr["dba + none"].mean < psnr["safi + none"].mean
     assert actual.best.label == "dba + none"
-
-
-def test_sizes_that_are_no_ratio(tmp_path: Path) -> None:
-    rows = study({"none + none": 20.0, "none + none, capacity=evidence": 21.0})
-    rows = [
-        one | {"capacity.name": "evidence" if "=" in str(one["method"]) else "fixed"}
-        for one in rows
-    ]
-    none = [
-        one | ({"gaussians": 0, "parameters": 0} if "=" not in str(one["method"]) else {})
-        for one in rows
-    ]
-    actual = contests(collect(table(tmp_path, none)))
-    assert [contest.parameters for contest in actual] == [None]

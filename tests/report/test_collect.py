@@ -8,7 +8,7 @@ from framework.report.costs import choices
 from framework.report.figures.charts import cost_charts
 from framework.report.findings import contests
 from framework.report.statistics.outcomes import outcomes
-from framework.report.statistics.robustness import failure_rate
+from framework.report.statistics.robustness import failures
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run
 from tests.report.studies import called, first_screen, labelled
@@ -102,11 +102,9 @@ def test_a_budget_without_the_baseline_has_no_comparison(tmp_path: Path) -> None
     assert [m.label for m in study.without_baseline] == alone
     assert all(study.baseline_of(m) == m for m in study.without_baseline)
     assert list(labelled(outcomes(study).comparisons)) == ["none + uar, steps=100"]
-    rate = failure_rate(
-        study, called(study, "none + uar, steps=400")
-    )  # 6 dB below safi, which is no plain one
-    assert rate is not None and rate.failed == 0
-    text = build_report(tmp_path).read_text(encoding="utf-8")
+    # 6 dB below safi, which is no plain one
+    assert failures(study, called(study, "none + uar, steps=400"), "embedded")[0] == 0
+    text = build_report(tmp_path).path.read_text(encoding="utf-8")
     assert "Not compared, because no baseline has the same budget: UAR, steps=400; SAFI," in text
 
 
@@ -126,14 +124,6 @@ def test_a_failed_run_without_a_record_is_listed(tmp_path: Path) -> None:
     (damaged,) = collect(tmp_path).failed
     error = damaged.record.error or ""
     assert damaged.kind == "damaged" and error.startswith("failed.json: expected JSON")
-
-
-def test_missing_runs_of_a_cross(tmp_path: Path) -> None:
-    for augment, seed in (("none", 0), ("none", 1), ("safi", 0)):
-        fake_run(tmp_path, augment, seed=seed)
-    assert [(s, m.label, k) for s, m, k in collect(tmp_path).missing] == [
-        ("embedded", "safi + none", 1)
-    ]
 
 
 def test_trainings_beside_other_programs_are_told_and_compared_by_cpu(tmp_path: Path) -> None:

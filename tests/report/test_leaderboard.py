@@ -19,7 +19,7 @@ def _study(folder: Path, gains: dict[str, float]) -> Path:
     for augment, gain in gains.items():
         for seed in range(4):
             fake_run(folder, augment, seed=seed, gain=gain, run_name=f"{augment}{seed}")
-    return build_report(folder)
+    return build_report(folder).path
 
 
 def test_methods_over_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

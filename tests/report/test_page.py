@@ -95,13 +95,15 @@ def _data(folder: Path, key: str) -> list[list[object]]:
 
 
 def test_the_page_and_the_video_of_a_run_are_linked(looked_at: Path) -> None:
-    report = build_report(looked_at).read_text(encoding="utf-8")
+    report = build_report(looked_at).path.read_text(encoding="utf-8")
     assert "[in 3D](runs/none/view.html)" in report and "[video](runs/none/video.webp)" in report
     assert "runs/safi/view.html" not in report
     links = [(one[2], *one[3:]) for one in _data(looked_at, "looks")]
     assert links == [(0, "in 3D", "runs/none/view.html"), (0, "video", "runs/none/video.webp")]
-    report = build_report(looked_at, photos=False).read_text(encoding="utf-8")
+    report = build_report(looked_at, photos=False).path.read_text(encoding="utf-8")
     assert "view.html" not in report and _data(looked_at, "looks") == []
     for name in ("view.html", "video.webp"):
         (looked_at / "runs" / "none" / name).unlink()
-    assert not re.search(r"\| (View|Video) ", build_report(looked_at).read_text(encoding="utf-8"))
+    assert not re.search(
+        r"\| (View|Video) ", build_report(looked_at).path.read_text(encoding="utf-8")
+    )

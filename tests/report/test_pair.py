@@ -23,7 +23,7 @@ def test_two_runs_beside_each_other(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert re.search(r"\*\*SAFI reaches \d+\.\d\d dB on embedded, \d\.\d\d dB above", text)
     assert "Single runs cannot distinguish a method from chance" in text
     assert re.search(r"\| augment\.name +\| +none +\| +safi", text)
-    for name in ("compare.html", "closeup_embedded.jpg", "curves.svg", "curves.csv"):
+    for name in ("compare.html", "closeup_embedded.jpg", "curves_embedded.svg"):
         assert (out / name).is_file()
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     compare_runs(plain, safi, out)

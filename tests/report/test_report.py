@@ -91,12 +91,7 @@ def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
     assert verdict.startswith("Use SAFI + UAR: it gains")
     assert paths == [f"page: {study_dir / 'report.html'}", f"report: {study_dir / 'report.md'}"]
     assert set(before) == {
-        *(
-            "report.md",
-            "report.html",
-            "runs.csv",
-            "runs.jsonl",
-        ),
+        *("report.md", "report.html", "runs.csv", "runs.jsonl"),
         *("results.tex", "results.md", "results.csv"),
         *("curves_embedded.png", "curves_embedded.svg"),
         *("tradeoff_embedded.png", "tradeoff_embedded.svg", "tradeoff_embedded.csv"),
@@ -107,9 +102,9 @@ def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
 
 
 def test_images_are_of_the_same_views_and_seed(study_dir: Path) -> None:
-    shown = choose_views(collect(study_dir), "embedded")
-    assert [run.seed for run in shown.runs] == [0, 0]
-    assert dict(shown.views) == {
+    runs, views = choose_views(collect(study_dir), "embedded")
+    assert [run.seed for run in runs] == [0, 0]
+    assert views == {
         "test 01": "interpolating, median",
         "test 03": "extrapolating, median; worst",
     }
@@ -126,7 +121,7 @@ def test_failed_missing_and_repeated_runs_are_told_first_and_the_report_builds(
     shutil.copytree(tmp_path / "runs/embedded-safi-none-s2", tmp_path / "runs/z")
     shutil.rmtree(tmp_path / "runs/embedded-none-none-s1")
     write_failed(tmp_path / "runs" / "x", make_config("safi", "uar"), ["seed=0"], "no overlap")
-    text = build_report(tmp_path).read_text(encoding="utf-8")
+    text = build_report(tmp_path).path.read_text(encoding="utf-8")
     first_screen = text.partition("\n## ")[0]
     assert "1 of 6 runs failed and 1 run is missing: listed below." in first_screen
     assert "No run finished of SAFI + UAR." in first_screen

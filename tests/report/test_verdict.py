@@ -73,7 +73,7 @@ def test_single_runs_and_strangers_are_no_evidence(tmp_path: Path) -> None:
     assert "no method shares a scene, a seed and options with the baseline" in first_screen(
         tmp_path
     )
-    assert [run.seed for run in choose_views(collect(tmp_path), "embedded").runs] == [0, 1]
+    assert [run.seed for run in choose_views(collect(tmp_path), "embedded")[0]] == [0, 1]
     fake_run(tmp_path, "safi", seed=0, gain=1.0)
     assert "No advice: single runs cannot distinguish a method from chance" in first_screen(
         tmp_path
@@ -138,7 +138,7 @@ def test_the_first_screen_says_that_nothing_was_tested(tmp_path: Path, methods: 
     for augment, reg in (("none", "none"), ("safi", "uar"))[:methods]:
         for seed in range(3):
             fake_run(tmp_path, augment, reg, seed, condition=ALL, tested=False)
-    text = build_report(tmp_path).read_text(encoding="utf-8")
+    text = build_report(tmp_path).path.read_text(encoding="utf-8")
     assert text.splitlines()[2].startswith("**Nothing was tested: no photo was held out")
     (header,) = (
         line for line in text.splitlines() if line.startswith("| Method") and "CPU" in line

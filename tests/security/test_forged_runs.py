@@ -127,7 +127,7 @@ def test_damaged_runs_are_a_line_each_among_the_failures(study: Path) -> None:
         shutil.copytree(study / "runs" / "x", run)
         forge(run)
     start = time.process_time()
-    text = build_report(study).read_text(encoding="utf-8")
+    text = build_report(study).path.read_text(encoding="utf-8")
     assert time.process_time() - start < 10
     lines = [line for line in text.splitlines() if "| damaged |" in " ".join(line.split())]
     rows = {name: [row for row in lines if name.replace(" ", "_") in row] for name in DAMAGED}
@@ -164,7 +164,7 @@ ODD: dict[str, Forge] = {
 def test_odd_runs_break_no_report(study: Path) -> None:
     for seed, forge in enumerate(ODD.values(), 10):
         forge(fake_run(study, "none", "uar", seed, run_name=f"x{seed}"))
-    text = build_report(study).read_text(encoding="utf-8")
+    text = build_report(study).path.read_text(encoding="utf-8")
     page = (study / "report.html").read_text(encoding="utf-8")
     assert "<b>" not in page and "<i>" not in page and "\x1b" not in text + page
     assert all(len(os.fsencode(path.name)) < 200 for path in study.iterdir())

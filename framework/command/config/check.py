@@ -55,7 +55,15 @@ def check(config: Mapping[str, Any]) -> None:
         estimate in (True, False, "only"),
         f"estimate: expected true, false or only, got {estimate!r:.40}",
     )
-    _check_scalars(config["seed"], config["threads"], config["study"])
+    for key, advice in (("seed", "choose another"), ("threads", "0 uses all cores")):
+        value = config[key]
+        require(value >= 0, f"{key}: expected an integer >= 0, got {value}; {advice}")
+    study = config["study"]
+    require(
+        study is None or re.fullmatch(r"\w[\w.-]*(/\w[\w.-]*)*", study) is not None,
+        f"study: expected a folder name of letters, digits, _ . and -, or several joined by /, got"
+        f" {study!r}; rename it",
+    )
     trackers.ready(config.get("tracker"))
 
 
@@ -68,19 +76,6 @@ def _check_integers(prefix: str, options: Mapping[str, Any]) -> None:
             type(value) is not int or abs(value) < 2**63,
             f"{prefix}{key}: expected an integer below 2^63, got {value}; choose another",
         )
-
-
-def _check_scalars(seed: int, threads: int, study: str | None) -> None:
-    require(
-        seed >= 0,
-        f"seed: expected an integer >= 0, got {seed}; choose another",
-    )
-    require(threads >= 0, f"threads: expected an integer >= 0, got {threads}; 0 uses all cores")
-    require(
-        study is None or re.fullmatch(r"\w[\w.-]*(/\w[\w.-]*)*", study) is not None,
-        f"study: expected a folder name of letters, digits, _ . and -, or several joined by /, got"
-        f" {study!r}; rename it",
-    )
 
 
 def _check_keys(prefix: str, keys: Iterable[str], expected: Iterable[str]) -> None:

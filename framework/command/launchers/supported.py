@@ -28,21 +28,19 @@ class Launcher:
     """A launcher.
 
     Attributes:
-        extra: this project's extra that installs it; "" for Hydra's own.
+        extra: this project's extra that installs it.
         needs: the module that comes with the extra.
         ours: module and class below `OURS`.
         defaults: options that differ from Hydra's.
     """
 
-    extra: str = ""
-    needs: str = ""
-    ours: tuple[str, str] = ("", "")
+    extra: str
+    needs: str
+    ours: tuple[str, str]
     defaults: Mapping[str, Any] = field(default_factory=dict)
 
 
-LAUNCHERS = {
-    "basic": Launcher(),
-    "joblib": Launcher(),
+LAUNCHERS = {  # besides Hydra's own
     "submitit_local": Launcher(
         "submitit",
         "hydra_plugins.hydra_submitit_launcher",
@@ -56,11 +54,7 @@ LAUNCHERS = {
         # a worker that had no time left continues from its run's checkpoint
         {"max_num_timeout": 10, "detach": False},
     ),
-    "ray": Launcher(
-        "ray",
-        "hydra_plugins.hydra_ray_launcher",
-        ("_ray", "Ray"),
-    ),
+    "ray": Launcher("ray", "hydra_plugins.hydra_ray_launcher", ("_ray", "Ray")),
 }
 
 
@@ -68,7 +62,7 @@ def register_launchers() -> None:
     """Put ours in the place of Hydra's, of those that are installed. Safe to call again."""
     plugins, store = Plugins.instance(), ConfigStore.instance()  # finds Hydra's first
     for name, launcher in LAUNCHERS.items():
-        if not launcher.extra or not _installed(launcher.needs):
+        if not _installed(launcher.needs):
             continue
         file, class_name = launcher.ours
         module = importlib.import_module(f"{OURS}.{file}")
@@ -83,9 +77,7 @@ def register_launchers() -> None:
 def missing_extra(name: str) -> str | None:
     """Return the missing extra of this project that a launcher needs, or None."""
     launcher = LAUNCHERS.get(name)
-    return (
-        launcher.extra if launcher and launcher.extra and not _installed(launcher.needs) else None
-    )
+    return launcher.extra if launcher and not _installed(launcher.needs) else None
 
 
 def package_of(name: str) -> str:

@@ -118,7 +118,7 @@ def _conclude(search: Search, best: list[str] | None, prog: str) -> int:
     from framework.report import build_report
 
     with locked(search.folder, wait=True):
-        report = build_report(search.folder)
+        report = build_report(search.folder).path
     say(f"report: {short_path(report)}")
     if best is None:
         say(f"{prog}: no trial ended well, see the report")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from hydra.core.override_parser.types import IntervalSweep, Override
 
@@ -19,14 +19,6 @@ from framework.command.overrides import check_given_twice, parsed
 from framework.errors import require
 
 MOST_CHOICES = 1000
-
-
-class Draws(Protocol):
-    """A trial, as optuna has it."""
-
-    def suggest_float(self, name: str, low: float, high: float, *, log: bool) -> float: ...
-    def suggest_int(self, name: str, low: int, high: int, *, log: bool) -> int: ...
-    def suggest_categorical(self, name: str, choices: Sequence[str]) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -40,8 +32,8 @@ class Dimension:
     log: bool = False
     choices: tuple[str, ...] = ()
 
-    def word(self, trial: Draws) -> str:
-        """The option with a value that `trial` suggests."""
+    def word(self, trial: Any) -> str:
+        """The option with a value that optuna's `trial` suggests."""
         if self.choices:
             return f"{self.key}={trial.suggest_categorical(self.key, self.choices)}"
         if self.whole:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from framework.command.config.composed import configuration
 from framework.command.program import program
@@ -17,7 +16,6 @@ from framework.compute.orphans import end_with_parent
 from framework.errors import UserError, printable_line
 from framework.metrics.values import Missing
 from framework.records.progress import Silent, say
-from framework.records.record import RECORD, read_record
 
 
 @dataclass(frozen=True)
@@ -81,18 +79,10 @@ def run(words: list[str], label: str, metric: str) -> Result:
         return Result("", None, error=printable_line(str(error)))
     say(printable_line(label))
     try:
-        run_experiment(job.config, Path(job.run_dir), Silent(), job.overrides)
+        record = run_experiment(job.config, Path(job.run_dir), Silent(), job.overrides)
     except Exception as error:
         return Result(job.run_dir, None, error=str(record_failure(job, error).error))
-    return result(Path(job.run_dir), metric)
-
-
-def result(run_dir: Path, metric: str) -> Result:
-    """Read the result of a complete run."""
-    record = read_record(run_dir / RECORD)
-    value: Any = record.summary.get(metric, Missing("not measured"))
-    train = record.timings.get("train")
-    cpu_s = 0.0 if train is None else train.cpu_s
+    value, cpu_s = record.summary[metric], record.train_cpu_s or 0.0
     if isinstance(value, Missing):
-        return Result(str(run_dir), None, cpu_s, f"no {metric}: {value.reason}")
-    return Result(str(run_dir), float(value), cpu_s)
+        return Result(job.run_dir, None, cpu_s, f"no {metric}: {value.reason}")
+    return Result(job.run_dir, value, cpu_s)

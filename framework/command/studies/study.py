@@ -217,16 +217,9 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
     checked: dict[tuple[str, ...], DictConfig] = {}
     taken: dict[str, list[str]] = {}
     studies: dict[Path, list[dict[str, Any]]] = {}
-    seen: set[tuple[str, ...]] = set()
     words = OmegaConf.to_container(config.hydra.sweep, resolve=False)
     by_overrides = "overrid" in str(words)  # hydra.job.override_dirname or hydra.overrides
     for number, job in enumerate(jobs):
-        if tuple(job) in seen:
-            raise UserError(
-                f"multirun: expected each run once, got '{' '.join(job)}' twice; sweep each value"
-                " once"
-            )
-        seen.add(tuple(job))
         seeds = [word for word in job if word.startswith("seed=")]
         method = tuple(word for word in job if word not in seeds)
         if method in checked and not by_overrides:
@@ -248,8 +241,8 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
         if folder in taken:
             raise UserError(
                 f"multirun: expected a folder for each run, got {folder} for both"
-                f" '{' '.join(taken[folder])}' and '{' '.join(job)}'; give each its own study=NAME"
-                " or hydra.sweep.subdir"
+                f" '{' '.join(taken[folder])}' and '{' '.join(job)}'; sweep each value once, or"
+                " give each run its own study=NAME or hydra.sweep.subdir"
             )
         taken[folder] = job
     return studies
@@ -275,8 +268,8 @@ def build_reports() -> None:
 
             with locked(folder, wait=True):
                 remove_temporaries(folder, ".*.tmp")  # of a process killed at its report
-                report = build_report(folder)
-            for line in closing(report):
+                build_report(folder)
+            for line in closing(folder / "report.md"):
                 say(line)
         except Exception as error:
             # not the number of a run: a killed one has no outcome

@@ -38,7 +38,7 @@ FORMATS: dict[str, dict[str, Any]] = {
 }
 WIDTH, DPI = 5.4, 147  # inches; 793 pixels
 LEGEND_CHARACTERS, TITLE_CHARACTERS = 44, 62
-LEGEND_ROW, LEAST_AXES = 0.21, 2.6  # inches: a line of the legend; a chart above a long one
+LEGEND_ROW, CHART = 0.21, 2.9  # inches
 DODGE = 0.009  # of the range of x, between neighbouring series
 COLORS = {  # of a figure -> of the page, which has a dark form
     **{color.lower(): f"var(--s{k})" for k, color in enumerate(LIGHT)},
@@ -198,8 +198,7 @@ def draw(charts: Sequence[Chart]) -> Figure:
     """The charts below each other with one legend; they share their series' names."""
     with matplotlib.rc_context(STYLE):
         names = {s.name for chart in charts for s in chart.series if not s.faint}
-        legend = LEGEND_ROW * _legend_rows(names)
-        height = max(2.9, LEAST_AXES) * len(charts) + legend
+        height = CHART * len(charts) + LEGEND_ROW * _legend_rows(names)
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         column = figure.subplots(len(charts), squeeze=False)[:, 0]
         marks = Marks()

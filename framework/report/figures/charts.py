@@ -7,7 +7,14 @@ from dataclasses import replace
 from framework.options import members_of
 from framework.report.costs import Entry, differs, entries, front, gaussians, megabytes, paying
 from framework.report.costs import train_s as seconds_of
-from framework.report.figures.chart import MIN_SPAN_DB, Chart, Point, Series
+from framework.report.figures.chart import (
+    MIN_SPAN_DB,
+    Chart,
+    Picture,
+    Point,
+    Series,
+    chart_picture,
+)
 from framework.report.figures.palette import looks
 from framework.report.figures.views import shown_methods
 from framework.report.statistics.estimates import estimate
@@ -32,15 +39,12 @@ def evaluations(run: ReportRun) -> Evaluations:
 
 def has_members(study: Study, scene: str) -> bool:
     """Whether a run of the scene joins several trainings, whose curves follow each other."""
-    for run in study.of(scene):
-        trainer, info = run.record.config["trainer"], run.record.scene
-        views = len(info.training) if info else 1
-        if members_of(trainer.get("members", 1), trainer["steps"], views) > 1:
-            return True
-    return False
+    records = [run.record for run in study.of(scene)]
+    cases = [(r.config["trainer"], len(r.scene.training) if r.scene else 1) for r in records]
+    return any(members_of(t.get("members", 1), t["steps"], views) > 1 for t, views in cases)
 
 
-def curves(study: Study, scene: str) -> Chart | None:
+def curves(study: Study, scene: str) -> Picture | None:
     """Test PSNR over training time; None if no history of the scene has an evaluation."""
     series: list[Series] = []
     numbers = looks(family.label for family in study.families)
@@ -52,7 +56,8 @@ def curves(study: Study, scene: str) -> Chart | None:
     if not series:
         return None
     name = study.file_of("curves", scene)
-    return Chart(name, scene, TIME_LABEL, PSNR_LABEL, tuple(series), min_span=MIN_SPAN_DB)
+    chart = Chart(name, scene, TIME_LABEL, PSNR_LABEL, tuple(series), min_span=MIN_SPAN_DB)
+    return chart_picture(study.out_dir, (chart,), f"Quality over training time of {scene}")
 
 
 def _courses(name: str, look: int, index: int, runs: Sequence[Evaluations]) -> list[Series]:
@@ -71,23 +76,6 @@ def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
     spreads = estimate([psnr for _, psnr in pairs])
     seconds = sum(second for second, _ in pairs) / len(pairs)
     return Point(seconds, spreads.mean, *spreads.ends, f"step {step}")
-
-
-def pair_curves(runs: Sequence[ReportRun]) -> Chart | None:
-    """Test PSNR over training time of single runs."""
-    numbers = looks(run.method.label for run in runs)
-    series = tuple(
-        Series(
-            run.method.name,
-            numbers[run.method.label],
-            tuple(Point(x, y, y, y, f"step {step}") for step, (x, y) in evaluations(run).items()),
-        )
-        for run in runs
-        if evaluations(run)
-    )
-    if not series:
-        return None
-    return Chart("curves", "", TIME_LABEL, PSNR_LABEL, series, min_span=MIN_SPAN_DB)
 
 
 def cost_charts(study: Study, scene: str) -> list[tuple[Chart, ...]]:
@@ -158,35 +146,30 @@ def stress_charts(
         index = study.families.index(method.family)
         return Series(method.name, numbers[method.label], tuple(points), index)
 
-    def chart(title: str, y_label: str, lines: Sequence[Series], zero: bool, span: float) -> Chart:
+    def chart(title: str, y_label: str, lines: Sequence[Series], zero: bool) -> Chart:
         return Chart(
             *(panel.file, title, f"{panel.axis.label}; harder to the right", y_label, tuple(lines)),
             reverse_x=panel.axis.harder < 0,
             dodge=True,
             y_zero=zero,
-            min_span=span,
+            min_span=MIN_SPAN_DB,
         )
 
-    levels = {
-        method: {level: by_level.get(level, []) for level in panel.levels}
-        for method, by_level in panel.runs.items()
-    }
     psnr = [
-        series(method, _points({v: [*by_seed(by_pair(r)).values()] for v, r in by_level.items()}))
-        for method, by_level in levels.items()
+        series(method, _points({v: by_level.get(v, []) for v in panel.levels}))
+        for method, by_level in panel.runs.items()
     ]
     gain = [series(limit.method, _gain_points(limit)) for limit in limits if limit.panel is panel]
-    charts = [chart(panel.title, PSNR_LABEL, psnr, False, MIN_SPAN_DB)]
+    charts = [chart(panel.title, PSNR_LABEL, psnr, False)]
     if gain:
-        charts.append(chart("", f"gain over {against} (dB)", gain, True, MIN_SPAN_DB))
+        charts.append(chart("", f"gain over {against} (dB)", gain, True))
     return tuple(charts)
 
 
-def _points(values: dict[float, list[float]]) -> list[Point]:
-    """The mean of each level's values with its 95 % interval."""
-    spreads = {
-        level: estimate(level_values) for level, level_values in values.items() if level_values
-    }
+def _points(runs: dict[float, list[ReportRun]]) -> list[Point]:
+    """The mean over the seeds of each level with its 95 % interval."""
+    values = {level: list(by_seed(by_pair(of_level)).values()) for level, of_level in runs.items()}
+    spreads = {level: estimate(of_level) for level, of_level in values.items() if of_level}
     return [Point(x, s.mean, *s.ends, f"n = {s.n}") for x, s in spreads.items()]
 
 

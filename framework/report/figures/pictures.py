@@ -25,16 +25,16 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
     """Draw ground truth, render, crop and error map of one test view for every method.
 
     Returns None if the methods have no test view in common."""
-    shown = choose_views(study, scene)
-    if not shown.views:
+    runs, views = choose_views(study, scene)
+    if not views:
         return None
-    view, why = [pair for pair in shown.views if "median" in pair[1]][-1]
-    truth = picture(shown.runs[0], view, "truth")
+    view, why = [pair for pair in views.items() if "median" in pair[1]][-1]
+    truth = picture(runs[0], view, "truth")
     renders, errors = (
-        [_of_size(truth, run, view, kind) for run in shown.runs] for kind in ("render", "error")
+        [_of_size(truth, run, view, kind) for run in runs] for kind in ("render", "error")
     )
     window = _window(renders if len(renders) > 1 else [truth, *renders])
-    names = [f"{run.method}\n{psnr_text(run, view)}" for run in shown.runs]
+    names = [f"{run.method}\n{psnr_text(run, view)}" for run in runs]
     rows = []
     per_row = 3 if len(names) == 3 else 2
     for k in range(0, len(names), per_row):
@@ -48,8 +48,8 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
         ]
     name = f"{study.file_of(CLOSEUP, scene)}.jpg"
     write_whole(study.out_dir / name, draw_grid(f"{scene}: {outside(view)}", rows, ERROR_SCALE))
-    reason = "the only one" if len(shown.views) == 1 else why.replace("; ", " and ")
-    seeds = listed(sorted({run.seed for run in shown.runs}))
+    reason = "the only one" if len(views) == 1 else why.replace("; ", " and ")
+    seeds = listed(sorted({run.seed for run in runs}))
     caption = (
         f"Test view {outside(view)} ({reason} by PSNR), seed {seeds}: ground truth and renders with"
         " their PSNR; the framed part, where the renders of all methods differ most; error maps"

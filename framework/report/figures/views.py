@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +18,6 @@ MOST_STRETCH = 40  # of a picture: one that is thinner would fill pages
 EMBEDDED = "embedded"  # the name of the only scene whose pictures are ours
 
 
-@dataclass(frozen=True)
-class ShownViews:
-    """What an image grid shows: one run per method, and (view, why it was chosen) pairs."""
-
-    runs: tuple[ReportRun, ...]
-    views: tuple[tuple[str, str], ...]
-
-
 def shown_methods(study: Study, scene: str) -> list[Method]:
     """The methods with runs on a scene; of one with several budgets, the budget with the highest
     mean PSNR there, as all of them would fill pages."""
@@ -41,20 +32,21 @@ def shown_methods(study: Study, scene: str) -> list[Method]:
     return [method for _, method in best.values()]
 
 
-def choose_views(study: Study, scene: str) -> ShownViews:
+def choose_views(study: Study, scene: str) -> tuple[list[ReportRun], dict[str, str]]:
     """Choose the lowest seed that every shown method has, and up to three test views by mean PSNR.
 
     If views are tagged, these are the median view of each tag and the worst of all. Otherwise they
     are the best, the median and the worst.
+
+    Returns:
+        One run per method, and view -> why it was chosen.
     """
     present = [study.of(scene, method) for method in shown_methods(study, scene)]
     common = set.intersection(*({run.seed for run in runs} for runs in present))
     seeds = [min(common) if common else runs[0].seed for runs in present]
-    chosen = tuple(
-        next(run for run in runs if run.seed == seed)
-        for runs, seed in zip(present, seeds, strict=True)
-    )
-    return ShownViews(chosen, tuple(_pick(chosen).items()))
+    pairs = zip(present, seeds, strict=True)
+    chosen = [next(run for run in runs if run.seed == seed) for runs, seed in pairs]
+    return chosen, _pick(chosen)
 
 
 def image_file(run: ReportRun, view: str, kind: str) -> Path:

@@ -53,8 +53,6 @@ class Breakdown:
 def break_down(strengths: np.ndarray, gains: np.ndarray, tests: int | None = None) -> Breakdown:
     """strengths: [L] in the order of growing stress (rising or falling numbers), L >= 2. gains:
     [L, n] dB, method minus baseline, one column per seed. tests: see `gains_of_levels`."""
-    if len(strengths) < 2 or gains.ndim != 2 or gains.shape[0] != len(strengths):
-        raise ValueError(f"break_down: expected [L] and [L, n], L >= 2, got {gains.shape}")
     mean, n = gains.mean(axis=1), gains.shape[1]
     starts, stops = _zeros(strengths, mean)
     helps = bool((mean > 0).any())

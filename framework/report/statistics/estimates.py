@@ -58,9 +58,9 @@ class Estimate:
         """The interval of the standard deviation."""
         if self.sd is None:
             return None
-        ends = (math.sqrt((self.n - 1) / quantile) for quantile in chi2_quantiles(self.n - 1))
-        low, high = (self.sd * end for end in ends)
-        return Interval(low, high)
+        levels = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
+        quantiles = special.chdtri(self.n - 1, levels).tolist()  # of chi2: 97.5 % and 2.5 %
+        return Interval(*(self.sd * math.sqrt((self.n - 1) / quantile) for quantile in quantiles))
 
     @property
     def p(self) -> float | None:
@@ -75,9 +75,7 @@ class Estimate:
 
 
 def estimate(values: Sequence[float]) -> Estimate:
-    """Raises ValueError without values."""
-    if len(values) == 0:
-        raise ValueError("estimate: expected at least one value")
+    """Of one value or more."""
     x = np.asarray(values, dtype=np.float64)
     return Estimate(len(x), float(x.mean()), deviation(x) if len(x) > 1 else None)
 
@@ -92,10 +90,3 @@ def t_quantile(freedom: int, tests: int = 1) -> float:
     """The t that a t variate exceeds in absolute value with probability 1 - `CONFIDENCE`, shared by
     so many tests."""
     return float(special.stdtrit(freedom, 1 - (1 - CONFIDENCE) / (2 * tests)))
-
-
-@functools.cache
-def chi2_quantiles(freedom: float) -> tuple[float, float]:
-    """The 97.5 % and 2.5 % quantiles of chi2."""
-    high, low = special.chdtri(freedom, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return float(high), float(low)

@@ -26,7 +26,7 @@ class Outcomes:
     """Results by method.
 
     Attributes:
-        psnr: mean over all scenes, for methods with a complete seed; `seeds`: by seed.
+        psnr: mean over all scenes, for methods with a complete seed.
         best: the method to use, see `_best`.
         comparisons, sigmas: with the baseline of the same budget, where they share a (scene, seed).
         by_scene: scene -> its comparisons, uncorrected, with several scenes.
@@ -35,7 +35,6 @@ class Outcomes:
 
     best: Method
     psnr: dict[Method, Estimate]
-    seeds: dict[Method, dict[int, float]]
     comparisons: dict[Method, Comparison]
     sigmas: dict[Method, SigmaComparison]
     by_scene: dict[str, dict[Method, Comparison]]
@@ -59,7 +58,6 @@ def outcomes(study: Study) -> Outcomes:
     return Outcomes(
         _best(study, psnr, comparisons),
         psnr,
-        {method: by_seed for method, by_seed in values.items() if by_seed},
         comparisons,
         sigmas_corrected({m: c for m, c in sigmas.items() if c is not None}),
         {scene: _comparisons(study, [scene]) for scene in study.tested} if several else {},

@@ -77,10 +77,6 @@ class SigmaComparison:
     tests: int = 1
 
     @property
-    def paired(self) -> bool:
-        return self.rho is not None
-
-    @property
     def p_joint(self) -> float:
         return min(1.0, self.tests * self.p)
 
@@ -144,15 +140,9 @@ def _paired_interval(ratio: float, rho: float, n: int) -> Interval:
 
 
 def _ratio_interval(ratio: float, n: int, other_n: int) -> Interval:
-    low, high = _f_quantiles(n - 1, other_n - 1)
+    ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
+    low, high = special.fdtri(n - 1, other_n - 1, ends).tolist()
     return Interval(ratio / math.sqrt(high), ratio / math.sqrt(low))
-
-
-@functools.cache
-def _f_quantiles(a: int, b: int) -> tuple[float, float]:
-    """The 2.5 % and 97.5 % quantiles of F(a, b)."""
-    low, high = special.fdtri(a, b, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return float(low), float(high)
 
 
 def power(ratio: float, n: int, other_n: int, tests: int = 1) -> float:
@@ -175,7 +165,8 @@ def paired_power(ratio: float, rho: float, n: int, tests: int = 1) -> float:
     mixed = math.sqrt(max((ratio**2 + 1) ** 2 - 4 * (rho * ratio) ** 2, 1e-12))
     c = (ratio**2 - 1) / mixed
     differences, rest = _pairs(n)
-    return _found(differences, c * differences + math.sqrt(max(1 - c * c, 0.0)) * rest, tests)
+    sums = c * differences + math.sqrt(max(1 - c * c, 0.0)) * rest
+    return float(np.mean(uncorrelated(differences, sums) < SIGNIFICANCE / tests))
 
 
 def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
@@ -198,10 +189,6 @@ def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
         t = np.abs(r) * np.sqrt((n - 2) / np.maximum(1 - r * r, 1e-300))
         p_values.append(2 * special.stdtr(n - 2, -t))
     return np.maximum(*p_values)
-
-
-def _found(differences: np.ndarray, sums: np.ndarray, tests: int) -> float:
-    return float(np.mean(uncorrelated(differences, sums) < SIGNIFICANCE / tests))
 
 
 @functools.cache

@@ -38,14 +38,9 @@ STRESSES = (
 CONDITIONS = ("depth.corruption",)
 DATA_KEYS = (*(axis.key for axis in STRESSES), *CONDITIONS)
 # of a method; the capacity plugin and its options are one, too
-BUDGETS = (
-    "trainer.steps",
-    "trainer.visits",
-    "trainer.coarse_factor",
-    "trainer.coarse_until",
-    "trainer.members",
-    "trainer.kept",
-    "trainer.tuning",
-    "init.budget",
-    "init.per_pixel",
+STEPS = "trainer.steps"
+WITH_STEPS = (  # what presets set together with the steps
+    *("trainer.visits", "trainer.coarse_factor", "trainer.coarse_until"),
+    *("trainer.members", "trainer.kept", "trainer.tuning"),
 )
+BUDGETS = (STEPS, *WITH_STEPS, "init.budget", "init.per_pixel")

@@ -155,14 +155,12 @@ def _label(
     labels = list(zip(methods, scenes, strict=True))
     complete = [ReportRun(run, *label) for run, label in zip(runs, labels, strict=False)]
     rest = iter(labels[len(runs) :])
-    named = []
-    for run in failed:
-        if run.record.config:
-            method, scene = next(rest)
-            named.append(replace(run, method=method, scene=scene.full))
-        else:
-            named.append(run)
-    return complete, named, notes
+
+    def named(run: FailedRun) -> FailedRun:
+        method, scene = next(rest)
+        return replace(run, method=method, scene=scene.full)
+
+    return complete, [named(run) if run.record.config else run for run in failed], notes
 
 
 def _missing(

@@ -17,7 +17,7 @@ from typing import Any
 
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import METHOD_GROUPS
-from framework.report.study.axes import BUDGETS, DATA_KEYS
+from framework.report.study.axes import BUDGETS, DATA_KEYS, STEPS, WITH_STEPS
 from framework.report.study.plugins import as_variant, title, with_defaults
 from framework.report.study.published import recipe_title
 from framework.report.study.words import Flat, flatten, natural, value_text
@@ -26,10 +26,6 @@ Option = tuple[str, str]  # name and value, as shown
 BASELINE = "none + none"
 LEARNED_MARK = "†"  # after the name of a method that used learned weights
 NAMED = ("augment", "reg")
-WITH_STEPS = (  # what presets set together with the steps
-    *("trainer.coarse_factor", "trainer.coarse_until"),
-    *("trainer.members", "trainer.kept", "trainer.tuning", "trainer.visits"),
-)
 RATES = ("trainer.lr_final", "trainer.lr_means_final", "trainer.lr_scales")  # and with these
 RASTERIZER, NUMBA = "rasterizer.name", "numba"  # the only one of records without the key
 USUAL = {  # choices without a name
@@ -122,10 +118,8 @@ class Method:
         """Whether `text` is the label, display name or plugins (`uar`); ignores case and spaces."""
         head = self.recipe or "+".join(self.plugins.values()) or PLAIN_RECIPE
         names = {self.label, self.name, self._unmarked_name, self._with_options(head)}
-        return _squeezed(text) in {*map(_squeezed, names), *self._underscored(head)}
-
-    def _underscored(self, head: str) -> set[str]:
-        return set() if self.options or self.budget else {head.replace("+", "_")}
+        joined = set() if self.options or self.budget else {head.replace("+", "_")}
+        return _squeezed(text) in {*map(_squeezed, names), *joined}
 
 
 PLAIN = Method()
@@ -225,8 +219,8 @@ def _without_followers(keys: Sequence[str], configs: Sequence[Flat]) -> list[str
 
     Rates set by a preset follow `trainer.steps`; `${seed}` follows `seed`.
     """
-    followers = {key for key in WITH_STEPS if _follows(key, ["trainer.steps"], configs)}
-    leaders = ["trainer.steps", *(key for key in WITH_STEPS if key not in followers)]
+    followers = {key for key in WITH_STEPS if _follows(key, [STEPS], configs)}
+    leaders = [STEPS, *(key for key in WITH_STEPS if key not in followers)]
     followers |= {key for key in RATES if _follows(key, leaders, configs)}
     followers |= {key for key in keys if _is_the_seed(key, configs)}
     return [key for key in keys if key not in followers]

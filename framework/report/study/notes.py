@@ -6,7 +6,6 @@ import os
 import re
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from framework.errors import UserError, printable_line
@@ -19,18 +18,6 @@ NUMBER = re.compile(r"(?<![\w.,/=-])(\d+(?:\.\d+)?)(?![\w.,/-]*\w)")  # not part
 
 K = TypeVar("K")
 Runs = Sequence[ReportRun]
-
-
-@dataclass(frozen=True)
-class Exposure:
-    """A scene whose photos were exposed differently, in so many of its runs: by how many percent,
-    root mean square."""
-
-    scene: str
-    low: float
-    high: float
-    n_runs: int
-    of: int
 
 
 def grouped(runs: Runs, key: Callable[[ReportRun], K]) -> dict[K, list[ReportRun]]:
@@ -66,9 +53,8 @@ def _ranged(words: Sequence[str], group: Sequence[tuple[list[str], ReportRun]]) 
 
 def failed_repetitions(study: Study) -> list[tuple[str, str]]:
     """(folder, error) of complete runs whose repetition failed."""
-    folders = [run.run.run_dir for run in study.runs]
     failed = []
-    for folder in folders:
+    for folder in (run.run.run_dir for run in study.runs):
         if os.path.lexists(folder / FAILED):
             try:
                 error = read_failure(folder).error
@@ -125,15 +111,15 @@ def learned(study: Study) -> dict[str, list[Method]]:
     }
 
 
-def exposures(study: Study) -> list[Exposure]:
-    """The scenes whose photos were exposed differently."""
+def exposures(study: Study) -> list[tuple[str, list[float]]]:
+    """The scenes whose photos were exposed differently, and by how many percent, root mean square,
+    in those of their runs."""
     scenes = []
-    for scene, group in sorted(grouped(study.runs, lambda run: run.scene).items()):
-        sizes = [run.record.provenance.get(EXPOSURE) for run in group]
+    for scene in sorted(study.scenes):
+        sizes = [run.record.provenance.get(EXPOSURE) for run in study.of(scene)]
         percent = [100 * s for s in sizes if isinstance(s, int | float) and math.isfinite(s)]
         if percent:
-            ends = min(percent), max(percent)
-            scenes.append(Exposure(scene, *ends, len(percent), len(group)))
+            scenes.append((scene, sorted(percent)))
     return scenes
 
 

@@ -5,7 +5,6 @@ import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import framework
 from framework.files.documents import read_yaml
@@ -42,34 +41,24 @@ class Published:
         fields = [f"  {k} = {{{v}}}" for k, v in self.paper.items() if k != "key"]
         return f"@article{{{self.paper['key']},\n" + ",\n".join(fields) + "\n}"
 
-    def rows(self) -> list[dict[str, str]]:
-        """The `scenes`, each with the name of the method."""
-        return [{"method": self.title, **row} for row in self.scenes]
-
 
 @functools.cache
 def literature() -> tuple[Published, ...]:
     """All methods with published figures, by recipe."""
     folder = next(folder for folder in FOLDERS if folder.is_dir())
-    files = {path.stem: read_yaml(path) for path in sorted(folder.glob("*.yaml"))}
-    return tuple(_published(stem, content) for stem, content in files.items())
-
-
-def _published(stem: str, content: Mapping[str, Any]) -> Published:
-    return Published(
-        title=content["title"],
-        name=stem,
-        recipe="" if content.get("published_only") else stem,
-        note=content.get("note", ""),
-        data_sets={name: content[name] for name in ("LLFF", "DTU") if name in content},
-        scenes=tuple(content.get("scenes", ())),
-        paper=content.get("paper", {}),
+    files = [(path.stem, read_yaml(path)) for path in sorted(folder.glob("*.yaml"))]
+    return tuple(
+        Published(
+            title=content["title"],
+            name=stem,
+            recipe="" if content.get("published_only") else stem,
+            note=content.get("note", ""),
+            data_sets={name: content[name] for name in ("LLFF", "DTU") if name in content},
+            scenes=tuple(content.get("scenes", ())),
+            paper=content.get("paper", {}),
+        )
+        for stem, content in files
     )
-
-
-def by_recipe() -> dict[str, Published]:
-    """Recipe -> what was published about it."""
-    return {entry.recipe: entry for entry in literature() if entry.recipe}
 
 
 def recipe_title(recipe: str) -> str:

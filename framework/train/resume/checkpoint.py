@@ -110,7 +110,7 @@ def remove_checkpoints(run_dir: Path) -> None:
 
 
 class Checkpoints:
-    """The checkpoints of one run (a `training_state.Keeper`).
+    """The checkpoints of one run; keeps states that a training offers after its steps.
 
     Args:
         run_dir: the run's folder.
@@ -145,9 +145,11 @@ class Checkpoints:
         return None
 
     def due(self) -> bool:
+        """Whether to keep one now."""
         return time.perf_counter() >= self._next
 
     def keep(self, state: TrainerState) -> None:
+        """Keep `state`; its tensors are the training's own and change with the next step."""
         started = time.perf_counter()
         data = pack(state, self.classes, self.identity, "plugin state")
         if len(data) > CHECKPOINT_BYTES:

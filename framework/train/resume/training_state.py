@@ -6,7 +6,7 @@ scene and are not stored; the pseudo views of an epoch are, since they were made
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from torch import Tensor
 
@@ -129,13 +129,3 @@ class TrainerState:
     cpu_s: float
     resumed: int
     second: FieldState | None = None
-
-
-class Keeper(Protocol):
-    """Saves the states that a training offers after its steps."""
-
-    def due(self) -> bool:
-        """Whether to keep one now."""
-
-    def keep(self, state: TrainerState) -> None:
-        """Keep `state`; its tensors are the training's own and change with the next step."""
