@@ -42,11 +42,6 @@ class _Header:
     text: bool
 
 
-def read_vertices(path: Path) -> NDArray[Any]:
-    """[count] structured array of the vertices; see `read_commented`."""
-    return read_commented(path)[0]
-
-
 def read_commented(path: Path) -> tuple[NDArray[Any], list[list[str]]]:
     """[count] structured array of the vertices, and the words of the comments.
 

@@ -39,7 +39,7 @@ from framework.files.limits import MODEL_BYTES, MODEL_CELLS
 from framework.files.opened import is_file, read_bytes, read_text
 from framework.files.paths import inside
 from framework.scenes.assemble import Tracks
-from framework.scenes.cameras import check_quaternion, near_points
+from framework.scenes.cameras import near_points
 
 log = logging.getLogger(__name__)
 
@@ -117,7 +117,6 @@ def read_files(folder: Path) -> Files:
         once = image.id not in images and image.name not in names
         expected = "each image once, with a camera that is listed"
         _check(once and image.camera in cameras, readers[1], expected, image.name[:80])
-        check_quaternion(image.pose[:4], f"{files[1]}: image '{image.name[:80]}'")
         images[image.id] = image
         names.add(image.name)
     in_order = sorted(images.values(), key=lambda image: image.name)
@@ -157,39 +156,27 @@ def _tracks(reader: _Binary | _Text, images: Sequence[Image]) -> Tracks:
 
 
 def _files(folder: Path) -> list[Path]:
-    """The files of the model, all of one suffix."""
-    for suffix in _order(folder):
-        files = [folder / f"{stem}{suffix}" for stem in STEMS]
-        missing = [file.name for file in files[:2] if not is_file(file)]
-        if not missing:
-            break
-    if not is_file(files[2]):
-        other = files[2].with_suffix(".txt" if suffix == ".bin" else ".bin")
-        missing += [files[2].name] if missing or is_file(other) else []
-        files = files[:2]
-    require(
-        not missing,
-        f"{folder}: expected cameras, images and points3D as .bin or .txt, missing"
-        f" {', '.join(missing)}; copy the whole model",
-    )
-    return [inside(folder, file.name) for file in files]
-
-
-def _order(folder: Path) -> tuple[str, str]:
-    """The suffixes of model files, the preferred one first: .bin, or .txt if it is newer, as after
-    the text was edited. Logs a warning in the second case."""
-    newest = {
-        suffix: max(file.stat().st_mtime for file in files)
+    """The files of the model, all of one suffix: .bin, or .txt if it is newer, as after the text
+    was edited, which is logged as a warning."""
+    binary, text = (
+        [file for stem in STEMS if is_file(file := folder / f"{stem}{suffix}")]
         for suffix in (".bin", ".txt")
-        if all(map(is_file, files := [folder / f"{stem}{suffix}" for stem in STEMS]))
-    }
-    if len(newest) < 2 or newest[".txt"] <= newest[".bin"]:
-        return ".bin", ".txt"
-    log.warning(
-        f"{folder}: the model is there as .bin and as .txt; the .txt files are newer and are read;"
-        " remove the files that are out of date"
     )
-    return ".txt", ".bin"
+    files = max(
+        (binary, text), key=lambda of: (len(of), max((f.stat().st_mtime for f in of), default=0))
+    )
+    stems = [file.stem for file in files]
+    require(  # a model of known poses may lack points3D
+        len(files) > 1 and stems == [*STEMS[: len({f.stem for f in binary + text})]],
+        f"{folder}: expected cameras, images and points3D, all as .bin or all as .txt, got"
+        f" {', '.join(file.name for file in binary + text) or 'none'}; copy the whole model",
+    )
+    if files is text and len(binary) == len(text):
+        log.warning(
+            f"{folder}: the model is there as .bin and as .txt; the .txt files are newer and are"
+            " read; remove the files that are out of date"
+        )
+    return [inside(folder, file.name) for file in files]
 
 
 def _check(good: bool, reader: _Binary | _Text, expected: str, got: object) -> None:

@@ -20,7 +20,7 @@ from framework.errors import UserError
 from framework.files import limits
 from framework.files.archives import open_zip
 from framework.files.arrays import read_npy, read_npz
-from framework.files.ply import read_vertices
+from framework.files.ply import read_commented
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply
 from framework.records.record import read_run
@@ -154,7 +154,7 @@ def test_weights_that_are_views_of_little_data(tmp_path: Path) -> None:
 def test_ply_counts_are_compared_with_the_file(tmp_path: Path, count: str) -> None:
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
     (tmp_path / "a.ply").write_text(f"{head}property float x\nend_header\n")
-    for read in (read_ply, read_vertices):
+    for read in (read_ply, read_commented):
         with pytest.raises(UserError, match=r"a\.ply: expected"):
             read(tmp_path / "a.ply")
 
