@@ -69,7 +69,7 @@ class Transforms(FolderScene):
 
     def listing(self, folder: Path) -> Listing:
         file, where = inside(folder, self.file), f"scene=transforms: {folder}"
-        listed = read_frames(file, self.poses)
+        listed = sorted(read_frames(file, self.poses), key=lambda frame: frame.name)
         frames = [*with_photos(file, listed).values()]
         return Listing(
             folder.resolve().name,
@@ -118,13 +118,13 @@ class Transforms(FolderScene):
             return Tracks()
         if self.points != "auto":
             return read_coloured(inside(folder, self.points), len(frames))
-        extras = read_extras(file)
+        ply, worlds = read_extras(file)
         names, viewmats = [f.name for f in frames], [f.viewmat for f in frames]
-        tracks = colmap_tracks(folder, self.file, names, viewmats, self.model, extras.worlds)
-        if len(tracks.xyz) or extras.ply is None:
+        tracks = colmap_tracks(folder, self.file, names, viewmats, self.model, worlds)
+        if len(tracks.xyz) or ply is None:
             return tracks
         try:
-            return read_coloured(extras.ply, len(frames))
+            return read_coloured(ply, len(frames))
         except UserError as error:
             log.warning(f"{error}; the points of ply_file_path are not used")
             return tracks
