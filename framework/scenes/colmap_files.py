@@ -27,16 +27,16 @@ import re
 import struct
 from array import array
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.files.limits import MODEL_BYTES, MODEL_CELLS
-from framework.files.opened import is_file, read_bytes, read_text
+from framework.files.opened import is_file, read_bytes, read_text, reading
 from framework.files.paths import inside
 from framework.scenes.assemble import Tracks
 from framework.scenes.cameras import near_points
@@ -236,13 +236,9 @@ class _Binary:
         end = self.data.find(b"\0", self.at)
         name = self.data[self.at : max(end, self.at)]
         self._skip(end + 1 - self.at if end >= 0 else len(self.data) + 1)
-        try:
-            return name.decode("utf-8")
-        except UnicodeDecodeError:
-            raise UserError(
-                f"{self.where}: expected image names in UTF-8, got {name[:60]!r}; rename the image"
-                " or rebuild the model"
-            ) from None
+        with reading(self.where, f"an image's name in UTF-8, not {name[:60]!r}", DAMAGED):
+            text = name.decode("utf-8")
+        return text
 
     def _finish(self) -> None:
         rest = len(self.data) - self.at
@@ -314,16 +310,9 @@ class _Text:
             " damaged; copy it again or rebuild the model",
         )
 
-    @contextmanager
-    def _damage(self, line: str) -> Iterator[None]:
+    def _damage(self, line: str) -> AbstractContextManager[None]:
         """Raise UserError if the line does not hold the values that its record has."""
-        try:
-            yield
-        except (ValueError, OverflowError) as error:
-            raise UserError(
-                f"{self.where}: expected the values of COLMAP's format, got '{line[:80]}'"
-                f" ({str(error)[:80]}); {DAMAGED}"
-            ) from None
+        return reading(self.where, f"the values of COLMAP's format in '{line[:80]}'", DAMAGED)
 
 
 def _floats(words: Sequence[str]) -> tuple[float, ...]:

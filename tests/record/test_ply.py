@@ -87,7 +87,7 @@ def test_damaged_bands_end_in_one_line(tmp_path: Path, bands, message: str | Non
     [
         (lambda b: b[:-3], "the file is damaged"),
         (lambda b: b.replace(b"vertex 4", b"vertex 999999999999"), "the file is damaged"),
-        (lambda b: b.replace(b"binary_little_endian", b"ascii"), "the file is damaged"),
+        (lambda b: b.replace(b"binary_little_endian", b"ascii"), "got a damaged one"),
         (lambda b: b.replace(b"property float opacity", b"property float opaqueness"), "opacity"),
         (lambda b: b.replace(b"float opacity", b"double opacity"), "the file is damaged"),
         (lambda b: b.replace(b"property float f_rest_8\n", b""), "got 8"),
