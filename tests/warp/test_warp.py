@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from framework.compute import parallel
-from framework.errors import UserError
 from framework.types import Camera, DepthMap, View
 from framework.warp.zbuffer import Warped, prepare, warp
 from tests.warp.stage import HALF, SQUARE, camera, exact, photograph
@@ -122,14 +121,3 @@ def test_only_trusted_depth_enters() -> None:
 def test_a_camera_that_looks_away_sees_nothing() -> None:
     warped = warp_exact(stage_views(), camera(yaw=np.pi))
     assert warped.coverage == 0.0 and not warped.image.any()
-
-
-def test_bad_input_is_refused() -> None:
-    view = stage_views()[0]
-    with pytest.raises(ValueError, match="a depth map per view"):
-        prepare([view], [])
-    small = DepthMap(torch.ones(4, 4), torch.ones(4, 4))
-    with pytest.raises(ValueError, match="stage is 120x160"):
-        prepare([view], [small])
-    with pytest.raises(UserError, match="temperature"):
-        warp_exact([view], view.camera, temperature=0.0)
