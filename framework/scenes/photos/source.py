@@ -133,9 +133,7 @@ def _instead(folder: Path) -> str:
     others = unread_files(folder)
     if others:
         return f"{len(others)} pictures in other formats ({listed(others)}); convert them to JPEG"
-    folders = [name for name in names if not name.startswith(".") and (folder / name).is_dir()]
-    got = f"only folders ({', '.join(folders[:5])})" if folders else "none"
-    return f"{got}; put photos there or correct scene.path"
+    return f"none ({listed(names) or 'empty'}); put photos there or correct scene.path"
 
 
 def _check_count(place: Path, n_files: int, n_distinct: int) -> None:
