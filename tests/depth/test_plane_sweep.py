@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from framework.compute.parallel import set_threads
 from framework.errors import UserError
 from framework.types import Camera, DepthMap, TrainingSet
 from tests.built import build_provider
@@ -29,17 +28,6 @@ def test_confident_pixels_are_within_one_and_three_percent(maps: tuple[DepthMap,
         assert confident.mean() > 0.7
         assert (error[confident] < 0.01).mean() > 0.97
         assert (error[confident] < 0.03).mean() > 0.99
-
-
-def test_thread_count_does_not_change_a_bit(maps: tuple[DepthMap, ...]) -> None:
-    try:
-        for threads in (1, 2, 3):
-            set_threads(threads)
-            for again, first in zip(sweep(plane_scene()), maps, strict=True):
-                assert torch.equal(again.depth, first.depth)
-                assert torch.equal(again.confidence, first.confidence)
-    finally:
-        set_threads(0)
 
 
 def test_depth_scales_with_the_scene(maps: tuple[DepthMap, ...]) -> None:

@@ -54,15 +54,8 @@ def test_json_is_strict_and_nan_is_explained(tmp_path: Path) -> None:
     perfect = measured(view, view.image)
     old = read_record(run_dir / "record.json")
     config = {**old.config, "stop": float("nan")}
-    write_run(
-        run_dir,
-        replace(old, config=config),
-        [perfect],
-        [],
-        make_gaussians(2, 0),
-        torch.zeros(3),
-        [(view, view.image)],
-    )
+    rest = make_gaussians(2, 0), torch.zeros(3), [(view, view.image)]
+    write_run(run_dir, replace(old, config=config), [perfect], [], *rest)
 
     def refuse(constant: str) -> None:
         raise AssertionError(constant)
@@ -72,11 +65,8 @@ def test_json_is_strict_and_nan_is_explained(tmp_path: Path) -> None:
     assert content["summary"]["psnr"]["missing"] == "infinite: render equals truth"
     assert content["config"]["stop"] is None
     assert np.isnan(read_run(run_dir).metrics.numbers["psnr"]).all()
-    assert sorted(p.name for p in (run_dir / "renders").iterdir()) == [
-        "test_00.png",
-        "test_00_error.png",
-        "test_00_truth.png",
-    ]
+    pictures = sorted(p.stem for p in (run_dir / "renders").iterdir())
+    assert pictures == ["test_00", "test_00_error", "test_00_truth"]
 
 
 def test_an_interrupted_rewrite_is_not_complete(
@@ -86,20 +76,14 @@ def test_an_interrupted_rewrite_is_not_complete(
     assert find_complete(run_dir, old.identity) == old
     view = make_view(0)
 
+    rest = make_gaussians(2, 0), torch.zeros(3), [(view, view.image)]
+
     def killed(*_: object) -> str:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(record, "history_csv", killed)
     with pytest.raises(KeyboardInterrupt):
-        write_run(
-            run_dir,
-            old,
-            [measured(view, view.image)],
-            [],
-            make_gaussians(2, 0),
-            torch.zeros(3),
-            [(view, view.image)],
-        )
+        write_run(run_dir, old, [measured(view, view.image)], [], *rest)
     assert find_complete(run_dir, old.identity) is None
     assert not [p for p in run_dir.rglob("*") if p.name.endswith(".tmp")]
 

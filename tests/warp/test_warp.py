@@ -1,21 +1,12 @@
 """Warping: proofs on the ray-traced stage with exact depth (see `stage.py`)."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import torch
 
-from framework.compute import parallel
 from framework.types import Camera, DepthMap, View
 from framework.warp.zbuffer import Warped, prepare, warp
 from tests.warp.stage import HALF, SQUARE, camera, exact, photograph
-
-
-@pytest.fixture(autouse=True)
-def _restore_threads() -> Iterator[None]:
-    yield
-    parallel.set_threads(0)
 
 
 def stage_views(unit: float = 1.0) -> list[View]:
@@ -90,19 +81,6 @@ def test_what_no_support_saw_is_masked_out() -> None:
     warped = warp_exact([photograph(camera())], target)
     hidden_from = int((HALF - 0.55) / SQUARE * 160 + 80) + 2
     assert not (warped.mask[40:80, hidden_from : hidden_from + 8] > 0).any()
-
-
-def test_threads_do_not_change_a_bit() -> None:
-    views, target = stage_views(), camera(0.2, 0.0, 0.2, yaw=0.03)
-    results = []
-    for n in (1, 2, 3):
-        parallel.set_threads(n)
-        results.append(warp_exact(views, target))
-    for other in results[1:]:
-        assert torch.equal(results[0].image, other.image)
-        assert torch.equal(results[0].mask, other.mask)
-        assert torch.equal(results[0].depth, other.depth)
-        assert torch.equal(results[0].weight, other.weight)
 
 
 def test_only_trusted_depth_enters() -> None:
