@@ -242,8 +242,6 @@ def _pair(
     if mask is None:
         return x, y, None
     valid = mask.detach().cpu().numpy() > 0.5
-    if valid.shape != x.shape[:2]:
-        raise ValueError(f"metrics: expected a mask {x.shape[:2]}, got {valid.shape}")
     x[~valid], y[~valid] = 255, 255
     return x, y, valid
 

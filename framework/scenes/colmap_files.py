@@ -91,16 +91,11 @@ class Point(NamedTuple):
     track: NDArray[np.int64]
 
 
-class Files(NamedTuple):
-    """A model's cameras by id, its images sorted by name, and its points."""
-
-    cameras: dict[int, Camera]
-    images: list[Image]
-    tracks: Tracks
-
-
-def read_files(folder: Path) -> Files:
+def read_files(folder: Path) -> tuple[dict[int, Camera], list[Image], Tracks]:
     """Read the model in `folder`; one of known poses may lack `points3D`.
+
+    Returns:
+        Its cameras by id, its images sorted by name, and its points.
 
     Raises:
         UserError: a file is missing or damaged.
@@ -121,7 +116,7 @@ def read_files(folder: Path) -> Files:
         names.add(image.name)
     in_order = sorted(images.values(), key=lambda image: image.name)
     tracks = _tracks(readers[2], in_order) if len(readers) == len(STEMS) else Tracks()
-    return Files(cameras, in_order, tracks)
+    return cameras, in_order, tracks
 
 
 def _tracks(reader: _Binary | _Text, images: Sequence[Image]) -> Tracks:
@@ -253,10 +248,7 @@ class _Text:
         text = read_text(path, MODEL_BYTES)
         self.lines = text.replace("\r\n", "\n").removesuffix("\n").split("\n")
         if text and not text.endswith("\n"):
-            log.warning(
-                f"{path}: the last line has no newline; if the file is truncated, copy it again,"
-                " else add one"
-            )
+            log.warning(f"{path}: the last line has no newline; if it is truncated, copy it again")
 
     def cameras(self) -> Iterator[Camera]:
         for line in self._records("cameras"):

@@ -75,11 +75,8 @@ class Frame:
         v = self.values
         w, h = v.get("w", width), v.get("h", height)
         fx = self._focal("fl_x", "camera_angle_x", w)
-        require(
-            fx is not None,
-            f"{self.where}: expected fl_x or camera_angle_x, got neither; add one to the file",
-        )
-        assert fx is not None
+        if fx is None:
+            raise UserError(f"{self.where}: expected fl_x or camera_angle_x, got neither; add one")
         fy = self._focal("fl_y", "camera_angle_y", h)
         distortion = Distortion(*(v.get(k, 0.0) for k in LENS))
         cx, cy = v.get("cx", w / 2), v.get("cy", h / 2)
@@ -153,8 +150,7 @@ def read_extras(path: Path) -> tuple[Path | None, tuple[NDArray[np.float64], ...
     matrix = _matrix(data.get("applied_transform", OLD_NERFSTUDIO))
     require(
         matrix.shape == (4, 4) and bool(np.isfinite(matrix).all()),
-        f"{path}: expected applied_transform to be a 3x4 matrix, got another value; correct or"
-        " remove it",
+        f"{path}: expected applied_transform to be a 3x4 matrix, got another; correct or remove it",
     )
     return None if ply is None else find_photo(path.parent, ply), (np.eye(4), matrix)
 
@@ -231,8 +227,7 @@ def _check_once(path: Path, names: list[str]) -> None:
     name, times = Counter(names).most_common(1)[0]
     require(
         times == 1,
-        f"{path}: expected each photo once, got {name[:200]} more than once; remove the surplus"
-        " frames",
+        f"{path}: expected each photo once, got {name[:200]} more than once; remove the others",
     )
 
 
