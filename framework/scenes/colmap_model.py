@@ -87,8 +87,7 @@ def choose_model(
     if others:
         log.warning(
             f"{folder}: of {len(others) + 1} COLMAP models {best.relative_to(folder)} is used, with"
-            f" poses of {counts[best]} photos, and not {', '.join(others)}; scene.model=FOLDER"
-            " chooses another"
+            f" poses of {counts[best]} photos, and not {', '.join(others)}; see scene.model=FOLDER"
         )
     return best, models[best]
 

@@ -39,7 +39,6 @@ def read_coloured(path: Path, images: int) -> Tracks:
     cells = int(good.sum()) * images
     require(
         cells <= MODEL_CELLS,
-        f"points: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; thin out the"
-        " points",
+        f"points: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; thin them out",
     )
     return Tracks(xyz[good], rgb[good], np.zeros((int(good.sum()), images), dtype=bool))
