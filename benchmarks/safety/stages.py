@@ -206,12 +206,15 @@ def _of_run(run: Path) -> Iterable[Any]:
 def metrics(folder: Path) -> dict[str, str]:
     """Every metric of images that differ a little, a lot, and by a mask; LPIPS alone has other bits
     on other processors."""
+    from dataclasses import replace
+
     import torch
 
     from framework.compute.rng import stream
-    from framework.metrics import evaluate
+    from framework.metrics.evaluate import evaluate
 
-    first, second, third, *_ = [view.image for view in _training().views]
+    views = _training().views
+    first, second, third, *_ = [view.image for view in views]
     noise = torch.from_numpy(stream(0, "stages").random(first.shape)).float()
     mask = (first[0] > 0.4).float()
     pairs = [
@@ -219,11 +222,14 @@ def metrics(folder: Path) -> dict[str, str]:
         (first, (first + 0.05 * noise).clamp(0, 1), None),
         (third, noise, mask),
     ]
-    hashes = {}
-    for name in ("psnr", "ssim", "flip"):
-        values = [getattr(evaluate, name)(*pair) for pair in pairs]
-        hashes[f"metric {name}"] = digest(map(repr, values))
-    return hashes
+    measured = []
+    for render, truth, of in pairs:
+        view = replace(views[0], image=truth, mask=of)
+        measured += evaluate(lambda _, image=render: image, [view])[0]  # type: ignore[misc]
+    return {
+        f"metric {name}": digest(repr(metrics.value(name)) for metrics in measured)
+        for name in ("psnr", "ssim", "flip")
+    }
 
 
 STAGES: dict[str, Callable[[Path], dict[str, str]]] = {

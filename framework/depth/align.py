@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from framework.depth.transfer import inside, project
-from framework.errors import UserError
+from framework.errors import require
 
 if TYPE_CHECKING:
     from framework.types import TrainingSet
@@ -102,37 +102,25 @@ def align(
     """
     scale, shift = 1.0, 0.0
     if mode != "none":
-        scale, shift = _fit(training, index, values, inverse, mode, where, way_out)
+        name = training.views[index].name
+        samples, depths = point_samples(training, index, values)
+        require(
+            len(samples) >= MIN_POINTS[mode],
+            f"{where}: align={mode} needs {MIN_POINTS[mode]} sparse points on known depth in view"
+            f" '{name}', got {len(samples)}; {way_out}",
+        )
+        targets = 1.0 / depths if inverse else depths
+        if mode == "scale":
+            scale = fit_scale(samples, targets)
+        else:
+            scale, shift = fit_scale_shift(samples, targets)
+        require(
+            scale > 0,
+            f"{where}: expected values that grow with the {'inverse ' if inverse else ''}depth"
+            f" of the sparse points in view '{name}', got a fitted factor of {scale:.3g}; set"
+            f" depth.kind={'depth' if inverse else 'inverse_depth'} or check the files",
+        )
     fitted = np.where(values > 0, scale * values + shift, 0.0)
     valid = fitted > 0
     safe = np.where(valid, fitted, 1.0)
     return np.where(valid, 1.0 / safe if inverse else safe, 0.0)
-
-
-def _fit(
-    training: TrainingSet,
-    index: int,
-    values: NDArray[np.float64],
-    inverse: bool,
-    mode: str,
-    where: str,
-    way_out: str,
-) -> tuple[float, float]:
-    name = training.views[index].name
-    samples, depths = point_samples(training, index, values)
-    if len(samples) < MIN_POINTS[mode]:
-        raise UserError(
-            f"{where}: align={mode} needs {MIN_POINTS[mode]} sparse points on known depth in view"
-            f" '{name}', got {len(samples)}; {way_out}"
-        )
-    targets = 1.0 / depths if inverse else depths
-    if mode == "scale":
-        return fit_scale(samples, targets), 0.0
-    scale, shift = fit_scale_shift(samples, targets)
-    if scale <= 0:
-        raise UserError(
-            f"{where}: expected values that grow with the {'inverse ' if inverse else ''}depth"
-            f" of the sparse points in view '{name}', got a fitted factor of {scale:.3g}; set"
-            f" depth.kind={'depth' if inverse else 'inverse_depth'} or check the files"
-        )
-    return scale, shift

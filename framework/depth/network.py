@@ -8,7 +8,8 @@ size, in the unit of the extrinsics, and a confidence >= 1. It treats camera dis
 
 import functools
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -24,8 +25,10 @@ from framework.depth.options import DEPTH_ANYTHING_3, DepthAnything3Options, Pla
 from framework.depth.read import resample
 from framework.errors import UserError, require
 from framework.files.whole import file_sha256
+from framework.metrics.evaluate import quantise
 from framework.types import DepthMap, TrainingSet
 
+Floats = NDArray[np.float64]
 WHERE = "depth=depth_anything_3"
 FILES = ("config.json", "model.safetensors")
 LEAST_CONFIDENCE = 0.05  # of a pixel that other views confirm
@@ -33,24 +36,13 @@ FEWEST_PIXELS = 100  # of the plane sweep that set a view's scale
 POSE_TOLERANCE = 1e-3  # in units of the poses: the package kept the given ones
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """depth [N, h, w] float64, 0 = unknown (sky), in the unit of the poses; confidence [N, h, w] in
-    (0, 1]."""
-
-    depth: NDArray[np.float64]
-    confidence: NDArray[np.float64]
-
-
 def predict_views(training: TrainingSet, options: DepthAnything3Options) -> tuple[DepthMap, ...]:
     """See `providers.DepthAnything3.measure`."""
-    predicted = predict(training, options)
+    predicted, confidence = predict(training, options)
     size = (training.views[0].camera.width, training.views[0].camera.height)
-    sized = [resample(depth, *size) for depth in predicted.depth]
+    sized = [resample(depth, *size) for depth in predicted]
     depths = [d.astype(np.float32) for d in _in_scene_units(training, sized, options)]
-    scores = [
-        resample(c, *size) * (d > 0) for c, d in zip(predicted.confidence, depths, strict=True)
-    ]
+    scores = [resample(c, *size) * (d > 0) for c, d in zip(confidence, depths, strict=True)]
     if options.tolerance > 0 and len(depths) > 1:
         agreed = confirmed(training, depths, options.tolerance)
         scores = [score * agrees for score, agrees in zip(scores, agreed, strict=True)]
@@ -58,9 +50,13 @@ def predict_views(training: TrainingSet, options: DepthAnything3Options) -> tupl
     return tuple(DepthMap(*(torch.from_numpy(a.astype(np.float32)) for a in pair)) for pair in each)
 
 
-def predict(training: TrainingSet, options: DepthAnything3Options) -> Prediction:
-    """Call the network on the training views; its depth is in units of the poses."""
-    images = [_pixels(view.image) for view in training.views]
+def predict(training: TrainingSet, options: DepthAnything3Options) -> tuple[Floats, Floats]:
+    """Call the network on the training views.
+
+    Returns:
+        depth [N, h, w] float64 in scene units, 0 = unknown (sky), and confidence in (0, 1].
+    """
+    images = [quantise(view.image) for view in training.views]
     sizes = sorted({image.shape[:2] for image in images})
     require(
         len(sizes) == 1,  # it would crop them all to the smallest
@@ -70,26 +66,17 @@ def predict(training: TrainingSet, options: DepthAnything3Options) -> Prediction
     poses, unit = normalised_poses(training)
     K = np.stack([view.camera.K.numpy() for view in training.views]).astype(np.float32)
     network = load_network(weights_folder(options), options.device)
-    try:
+    advice = (  # two views, for one, it cannot align
+        "the package needs three or more cameras that are not in line, and enough memory: choose"
+        " other views or lower depth.process_res"
+    )
+    with _explained(f"the network to output for {len(images)} views", advice):
         output = network.inference(
             images, extrinsics=poses, intrinsics=K, process_res=options.process_res
         )
-    except Exception as problem:  # whatever the package raises; two views, for one, it cannot align
-        reason = (str(problem).splitlines() or [""])[0]
-        raise UserError(
-            f"{WHERE}: expected the network to output for {len(images)} views, got"
-            f" {type(problem).__name__} ({reason}); the package needs three or more cameras that"
-            " are not in line, and enough memory: choose other views or lower depth.process_res"
-        ) from problem
     if options.align == "none":
         _require_given_poses(output, poses)
     return _prediction(output, len(images), unit)
-
-
-def _pixels(image: torch.Tensor) -> NDArray[np.uint8]:
-    """[3, H, W] in [0, 1] to [H, W, 3] uint8."""
-    values = np.rint(255 * np.clip(image.numpy(), 0, 1)).astype(np.uint8)
-    return np.ascontiguousarray(values.transpose(1, 2, 0))
 
 
 def normalised_poses(training: TrainingSet) -> tuple[NDArray[np.float32], float]:
@@ -119,7 +106,7 @@ def _require_given_poses(output: Any, poses: NDArray[np.float32]) -> None:
     )
 
 
-def _prediction(output: Any, n: int, unit: float) -> Prediction:
+def _prediction(output: Any, n: int, unit: float) -> tuple[Floats, Floats]:
     depth = np.asarray(output.depth, np.float64)
     require(
         depth.ndim == 3 and len(depth) == n,
@@ -133,12 +120,12 @@ def _prediction(output: Any, n: int, unit: float) -> Prediction:
     if output.conf is not None:
         raw = np.maximum(np.asarray(output.conf, np.float64), 1.0)
         confidence = np.maximum(1.0 - 1.0 / raw, LEAST_CONFIDENCE)
-    return Prediction(np.where(valid, unit * np.where(valid, depth, 0.0), 0.0), confidence)
+    return unit * np.where(valid, depth, 0.0), confidence
 
 
 def _in_scene_units(
-    training: TrainingSet, depths: list[NDArray[np.float64]], options: DepthAnything3Options
-) -> list[NDArray[np.float64]]:
+    training: TrainingSet, depths: list[Floats], options: DepthAnything3Options
+) -> list[Floats]:
     """The depths [H, W] times one factor per view."""
     if options.align == "none":
         return depths
@@ -152,9 +139,7 @@ def _in_scene_units(
     return [_like_sweep(training, i, depth, swept[i]) for i, depth in enumerate(depths)]
 
 
-def _like_sweep(
-    training: TrainingSet, index: int, depth: NDArray[np.float64], swept: DepthMap
-) -> NDArray[np.float64]:
+def _like_sweep(training: TrainingSet, index: int, depth: Floats, swept: DepthMap) -> Floats:
     """`depth` [H, W] times the median ratio of the confident plane sweep to it."""
     both = (depth > 0) & (swept.confidence.numpy() > 0)
     require(
@@ -170,7 +155,14 @@ def weights_folder(options: DepthAnything3Options) -> Path:
     folder = Path(options.weights).expanduser()
     if not folder.is_dir():
         _api()
-        folder = _download(options)
+        expected = f"the weights '{options.weights}' in a local folder or on the Hugging Face hub"
+        with _explained(expected, f"set depth.weights to the folder with {' and '.join(FILES)}"):
+            from huggingface_hub import snapshot_download
+
+            found = snapshot_download(
+                options.weights, revision=options.revision, allow_patterns=list(FILES)
+            )
+            folder = Path(found)
     missing = [name for name in FILES if not (folder / name).is_file()]
     require(
         not missing,
@@ -178,24 +170,6 @@ def weights_folder(options: DepthAnything3Options) -> Path:
         " set depth.weights to a folder as the hub has it",
     )
     return folder
-
-
-def _download(options: DepthAnything3Options) -> Path:
-    try:
-        from huggingface_hub import snapshot_download
-
-        return Path(
-            snapshot_download(
-                options.weights, revision=options.revision, allow_patterns=list(FILES)
-            )
-        )
-    except Exception as problem:  # not there, no network, not allowed: the hub has many
-        reason = (str(problem).splitlines() or [""])[0]
-        raise UserError(
-            f"{WHERE}: expected the weights '{options.weights}' in a local folder or on the Hugging"
-            f" Face hub, got {type(problem).__name__} ({reason}); set depth.weights to the folder"
-            f" with {' and '.join(FILES)}"
-        ) from problem
 
 
 def weights_sha256(options: DepthAnything3Options) -> str:
@@ -219,28 +193,30 @@ def _file_sha256(file: Path, modified_ns: int, size: int) -> str:
     return file_sha256(file)
 
 
+@contextmanager
+def _explained(expected: str, advice: str) -> Iterator[None]:
+    """Raise UserError for whatever the package or the hub raises: they have many exceptions."""
+    try:
+        yield
+    except Exception as problem:
+        reason = (str(problem).splitlines() or [""])[0]
+        got = f"{type(problem).__name__} ({reason})"
+        raise UserError(f"{WHERE}: expected {expected}, got {got}; {advice}") from problem
+
+
 def _api() -> Any:
     """The package's module. UserError naming what to install where it is missing."""
-    try:
+    with _explained("the package depth_anything_3", f"pip install {DEPTH_ANYTHING_3}"):
         from depth_anything_3 import api
-    except ImportError as problem:
-        raise UserError(
-            f"{WHERE}: expected the package depth_anything_3, got {problem}; install it with: pip"
-            f" install {DEPTH_ANYTHING_3}"
-        ) from problem
-    return api
+
+        return api
 
 
 @functools.lru_cache(maxsize=1)
 def load_network(folder: Path, device: str) -> Any:
     """The network in evaluation mode on `device`; kept for the next call of the process."""
     api = _api()
-    try:
+    expected = f"a network that loads from {folder} on device '{device}'"
+    with _explained(expected, "check depth.weights and depth.device"):
         network = api.DepthAnything3.from_pretrained(str(folder))
         return network.to(torch.device(device)).eval()
-    except Exception as problem:  # a broken file, an unknown device, too little memory
-        reason = (str(problem).splitlines() or [""])[0]
-        raise UserError(
-            f"{WHERE}: expected a network that loads from {folder} on device '{device}', got"
-            f" {type(problem).__name__} ({reason}); check depth.weights and depth.device"
-        ) from problem

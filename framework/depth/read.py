@@ -62,8 +62,7 @@ def find_files(training: TrainingSet, options: DepthFileOptions) -> list[Path]:
     folder = Path(options.path).expanduser()
     require(
         folder.is_dir(),
-        f"depth=file: expected a folder at {folder}, got none; set depth.path to the folder of the"
-        " depth maps",
+        f"depth=file: expected a folder at {folder}, got none; correct depth.path",
     )
     owners: dict[Path, str] = {}
     for view in training.views:
@@ -88,14 +87,10 @@ def files_sha256(training: TrainingSet, options: DepthFileOptions) -> str:
 
 
 def _load_array(file: Path) -> NDArray[np.float64]:
-    try:
-        values = read_npy(file) if file.suffix == ".npy" else read_npz(file, ["depth"])[0]
-    except UserError as problem:
-        raise UserError(f"depth=file: {problem}") from problem
+    values = read_npy(file) if file.suffix == ".npy" else read_npz(file, ["depth"])[0]
     require(
         values.size <= IMAGE_PIXELS,
-        f"depth=file: expected at most {IMAGE_PIXELS:,} pixels in {file}, got {values.size:,};"
-        " resize the depth map",
+        f"{file}: expected at most {IMAGE_PIXELS:,} pixels, got {values.size:,}; resize the map",
     )
     return values.astype(np.float64)
 

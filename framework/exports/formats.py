@@ -17,8 +17,7 @@ import importlib.util
 import logging
 import math
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -176,10 +175,7 @@ def spz(gaussians: Gaussians, fraction: int) -> bytes:
 
 def _splat(gaussians: Gaussians, background: Tensor) -> bytes:
     if gaussians.shN.numel() and bool(gaussians.shN.any()):
-        LOG.warning(
-            "splat: holds no SH bands, so colours no longer change with the direction; use another"
-            " format to keep them"
-        )
+        LOG.warning("splat: holds no SH bands, so colours no longer change with the direction")
     scales, opacities = gaussians.scales.numpy(), gaussians.opacities.numpy()
     order = np.argsort(-scales.prod(axis=1) * opacities, kind="stable")
     quats = gaussians.quats.numpy()
@@ -229,22 +225,11 @@ def _for_gsply(gaussians: Gaussians) -> Any:
 
 def _written(suffix: str, write: Callable[[str], object]) -> bytes:
     """What `write` puts into a file."""
-    with tempfile.TemporaryDirectory() as folder, _silent():
+    logging.getLogger("gsply").setLevel(logging.WARNING)
+    with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"a{suffix}"
         write(str(file))
         return file.read_bytes()
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Suppress gsply's messages at level INFO."""
-    logger = logging.getLogger("gsply")
-    before = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
 
 
 _WRITERS: dict[str, Callable[[Gaussians, Tensor], bytes]] = {

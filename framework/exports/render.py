@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import Arguments, require
-from framework.exports.video import check_side
+from framework.exports.video import add_look, check_side
 from framework.files.whole import make_folder, write_whole
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def main(arguments: list[str], prog: str) -> int:
     from framework.exports.opened import open_run, read_named_cameras
     from framework.exports.pictures import Ticks, painter
     from framework.records.record import RECORD
-    from framework.records.run_files import PHOTOS, PICTURES, RENDERS, file_stems
+    from framework.records.run_files import PHOTOS, PICTURES, RENDERS, WRITER, file_stems, png
 
     named = read_named_cameras(options.cameras)
     cameras = [_resized(one.camera, options.size) for one in named]
@@ -42,8 +42,7 @@ def main(arguments: list[str], prog: str) -> int:
     folder = options.out or options.run / PICTURES
     require(
         not (folder.parent / RECORD).exists() or folder.name not in (RENDERS, PHOTOS),
-        f"--out: expected a folder for new pictures, got {folder}, which holds those of a run;"
-        " choose another",
+        f"--out: expected a folder for new pictures, got {folder}, a run's own; choose another",
     )
     stems = file_stems([_bare(one.name) for one in named])
     _check_no_pictures_of_others([folder / f"{stem}.png" for stem in stems])
@@ -53,7 +52,7 @@ def main(arguments: list[str], prog: str) -> int:
         print(f"note: {distorted} of {len(named)} cameras have a lens distortion, which is ignored")
     brush, tick = painter(run, options.show, cameras), Ticks("pictures")
     for number, (stem, camera) in enumerate(zip(stems, cameras, strict=True)):
-        write_whole(folder / f"{stem}.png", _png(brush.picture(camera)))
+        write_whole(folder / f"{stem}.png", png(brush.picture(camera), WRITER))
         tick(number + 1, len(cameras))
     print(f"render: {len(cameras)} pictures in {folder}")
     return 0
@@ -72,15 +71,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of the pictures (default: RUN/pictures)"
     )
-    parser.add_argument(
-        "--show",
-        choices=("rgb", "depth", "both"),
-        default="rgb",
-        help="colour, depth (near is red), or side by side (default: rgb)",
-    )
-    parser.add_argument(
-        "--size", type=int, metavar="PIXELS", help="longer side (default: as in the file)"
-    )
+    add_look(parser, "as in the file")
     return parser
 
 
@@ -121,16 +112,3 @@ def _check_no_pictures_of_others(files: list[Path]) -> None:
         f" {others[0] if others else ''}, which fishersplat render did not write and which would be"
         " lost; choose another",
     )
-
-
-def _png(picture: object) -> bytes:
-    import io
-
-    from PIL import Image, PngImagePlugin
-
-    from framework.records.run_files import SOFTWARE, WRITER
-
-    info, out = PngImagePlugin.PngInfo(), io.BytesIO()
-    info.add_text(SOFTWARE, WRITER)
-    Image.fromarray(picture).save(out, "PNG", pnginfo=info)  # type: ignore[arg-type]
-    return out.getvalue()

@@ -152,18 +152,21 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         help="way of the camera: through the training cameras and back, a spiral before them, or"
         " once around; auto looks at how the cameras stand (default)",
     )
+    add_look(parser, "as in training")
+    parser.add_argument("--seconds", type=float, help="length (default: by the path, 4 to 20)")
+    parser.add_argument("--fps", type=int, default=24, help="pictures a second (default: 24)")
+    return parser
+
+
+def add_look(parser: argparse.ArgumentParser, size: str) -> None:
+    """Add `--show` and `--size`, which is by default as `size` says."""
     parser.add_argument(
         "--show",
         choices=("rgb", "depth", "both"),
         default="rgb",
         help="colour, depth (near is red), or side by side (default: rgb)",
     )
-    parser.add_argument("--seconds", type=float, help="length (default: by the path, 4 to 20)")
-    parser.add_argument("--fps", type=int, default=24, help="pictures a second (default: 24)")
-    parser.add_argument(
-        "--size", type=int, metavar="PIXELS", help="longer side (default: as in training)"
-    )
-    return parser
+    parser.add_argument("--size", type=int, metavar="PIXELS", help=f"longer side (default: {size})")
 
 
 def _check_room(n: int, lens: Camera, shown: str) -> None:

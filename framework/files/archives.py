@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from framework.errors import UserError, require
 from framework.files.limits import MIB
-from framework.files.opened import open_regular
+from framework.files.opened import open_regular, reading
 
 CONTENTS_BYTES = MIB  # of an archive's table of contents: about ten thousand members
 TAIL_BYTES = 22 + 65535  # the closing record with the longest comment
@@ -34,12 +34,8 @@ def open_zip(path: Path, unpacked_bytes: int) -> zipfile.ZipFile:
         f"{path}: expected a table of contents of at most {CONTENTS_BYTES:,} bytes, got"
         f" {contents:,}; pack fewer files",
     )
-    try:
+    with reading(path, "a zip archive"):
         archive = zipfile.ZipFile(path)
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, struct.error) as error:
-        raise UserError(
-            f"{path}: expected a zip archive, got a damaged one ({error}); write it again"
-        ) from None
     unpacked = sum(member.file_size for member in archive.infolist())
     if unpacked > unpacked_bytes:
         archive.close()

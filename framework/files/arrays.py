@@ -6,27 +6,22 @@ allocates whatever the header states.
 
 from __future__ import annotations
 
-import lzma
 import math
 import os
 import zipfile
-import zlib
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.files.archives import open_zip
 from framework.files.limits import ARRAY_BYTES
-from framework.files.opened import open_regular
+from framework.files.opened import open_regular, reading
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 KINDS = "biuf"  # bool, integers, floating point
-UNREADABLE = (
-    *(OSError, EOFError, RuntimeError, ValueError, OverflowError),
-    *(zipfile.BadZipFile, zlib.error),
-)
+EXPECTED, ADVICE = "a numeric numpy array", "write it again with numpy.save or numpy.savez"
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -65,14 +60,11 @@ def _few(names: list[str]) -> str:
 
 def _member(archive: zipfile.ZipFile, name: str, path: Path) -> NDArray[Any]:
     where = f"{path}: {name.removesuffix('.npy')}"
-    try:
+    with reading(where, EXPECTED, ADVICE):
         info = archive.getinfo(name)
         with archive.open(info) as stream:
-            return _array(stream, info.file_size, where)
-    except UserError:
-        raise
-    except (*UNREADABLE, KeyError, lzma.LZMAError) as error:
-        raise _damaged(where, error) from None
+            array = _array(stream, info.file_size, where)
+    return array
 
 
 def _array(stream: IO[bytes], size: int, where: str) -> NDArray[Any]:
@@ -91,10 +83,9 @@ def _array(stream: IO[bytes], size: int, where: str) -> NDArray[Any]:
         f" (at most {ARRAY_BYTES:,}); the file is damaged or too large, write it again",
     )
     stream.seek(0)
-    try:
-        return npy.read_array(stream, allow_pickle=False)
-    except UNREADABLE as error:
-        raise _damaged(where, error) from None
+    with reading(where, EXPECTED, ADVICE):
+        array = npy.read_array(stream, allow_pickle=False)
+    return array
 
 
 def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], Any, int]:
@@ -102,24 +93,14 @@ def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], Any, int]:
     from numpy.lib import format as npy
 
     readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-    try:
+    with reading(where, EXPECTED, ADVICE):
         version = npy.read_magic(stream)
         if version not in readers:
             raise ValueError(f"version {version}")
         shape, _, dtype = readers[version](stream)
         start = stream.tell()
-    except Exception as error:  # a parser of Python text: tokenizer, recursion, unicode and others
-        raise _damaged(where, error) from None
     require(
         all(type(n) is int and n >= 0 for n in shape),
         f"{where}: expected a shape of integers >= 0, got {str(shape)[:80]}; write it again",
     )
     return shape, dtype, start
-
-
-def _damaged(where: str, error: Exception) -> UserError:
-    reason = " ".join(str(error).split())[:120] or type(error).__name__
-    return UserError(
-        f"{where}: expected a numeric numpy array, got one that cannot be read ({reason}); write it"
-        " again with numpy.save or numpy.savez"
-    )

@@ -13,9 +13,9 @@ from typing import Any
 
 import yaml
 
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.files.limits import CONFIG_BYTES, DEPTH, TEXT_LENGTH
-from framework.files.opened import read_text
+from framework.files.opened import read_text, reading
 
 LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 LARGEST_INTEGER = 2**64
@@ -36,10 +36,8 @@ def json_value(path: Path, text: str) -> Any:
     Raises:
         UserError: for any other content.
     """
-    try:
+    with reading(path, "JSON", "correct it or write it again"):
         value = json.loads(text, parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        raise _damaged(path, "JSON", error) from None
     _check(path, value)
     return value
 
@@ -50,10 +48,9 @@ def read_yaml(path: Path) -> Any:
     Raises:
         UserError: for damaged content.
     """
-    try:
-        return yaml.load(read_text(path, CONFIG_BYTES), LOADER)  # a safe loader
-    except yaml.YAMLError as error:
-        raise _damaged(path, "YAML", error) from None
+    with reading(path, "YAML", "correct it"):
+        value = yaml.load(read_text(path, CONFIG_BYTES), LOADER)  # a safe loader
+    return value
 
 
 def _check(path: Path, value: Any, depth: int = 0) -> None:
@@ -86,10 +83,3 @@ def _check_text(path: Path, text: str) -> None:
 
 def _no_constant(name: str) -> Any:
     raise ValueError(f"{name} is no number of JSON")
-
-
-def _damaged(path: Path, kind: str, error: Exception) -> UserError:
-    reason = " ".join(str(error).split())[:160] or type(error).__name__
-    return UserError(
-        f"{path}: expected {kind}, got something else ({reason}); correct it or write it again"
-    )

@@ -8,7 +8,6 @@ checks whether the process that created it on this machine is still alive.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import platform
 import time
@@ -19,7 +18,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from framework.errors import UserError, mendable, os_line
-from framework.files.opened import read_bytes
+from framework.files.opened import read_text
 from framework.files.whole import Unwritable, write_whole
 
 LOCK, HOLDER = ".lock", ".lock.holder"
@@ -44,8 +43,7 @@ def locked(folder: Path, wait: bool = False) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise Busy(
-            f"{folder}: expected no other process at this run, got {_holder(folder)}; wait for it,"
-            " or stop it"
+            f"{folder}: expected no other process at this run, got {_holder(folder)}; wait for it"
         ) from None
     except OSError as error:
         if not mendable(error):
@@ -71,14 +69,13 @@ def remove_stale(folder: Path, also: Callable[[Path], None]) -> None:
 
 def _sign(folder: Path) -> None:
     """Write the lock's holder, for messages; errors do not matter."""
-    holder = {"pid": os.getpid(), "host": platform.node(), "since": time.strftime("%F %T")}
+    holder = f"process {os.getpid()} on {platform.node()} since {time.strftime('%F %T')}"
     with contextlib.suppress(UserError, OSError):
-        write_whole(folder / HOLDER, json.dumps(holder))
+        write_whole(folder / HOLDER, holder)
 
 
 def _holder(folder: Path) -> str:
     try:
-        holder = json.loads(read_bytes(folder / HOLDER, HOLDER_BYTES))
-        return f"process {holder['pid']} on {holder['host']} since {holder['since']}"
-    except (UserError, OSError, ValueError, KeyError, TypeError):  # it is just being written
+        return read_text(folder / HOLDER, HOLDER_BYTES)[:200] or "another process"
+    except (UserError, OSError):  # it is just being written
         return "another process"

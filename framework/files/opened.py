@@ -10,10 +10,12 @@ from __future__ import annotations
 import codecs
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 
-from framework.errors import UserError, mendable, os_line, require
+from framework.errors import UserError, machine_line, mendable, os_line, require
 
 KINDS = {
     stat.S_IFDIR: "a folder",
@@ -73,6 +75,21 @@ def read_text(path: Path, limit: int) -> str:
             f"{path}: expected text in UTF-8, got byte {error.object[error.start]:#04x} at"
             f" {error.start}; save it as UTF-8 or write it again"
         ) from None
+
+
+@contextmanager
+def reading(where: object, expected: str, advice: str = "write it again") -> Iterator[None]:
+    """Turn whatever a parser of a stranger's file raises into a UserError that names the file, and
+    leave errors of the machine."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, UserError) or machine_line(error) is not None:
+            raise
+        got = f"{type(error).__name__}: {error}".rstrip(": ")
+        raise UserError(
+            f"{where}: expected {expected}, got a damaged one ({got}); {advice}"
+        ) from error
 
 
 def file_size(path: Path, limit: int) -> int:

@@ -42,8 +42,7 @@ class PackageFile:
         """Raise UserError unless `file` is this one."""
         require(
             file.is_file(),
-            f"{self.what}: expected the file {self.name}, got '{file}', which is no file; check the"
-            " path",
+            f"{self.what}: expected the file {self.name}, got '{file}', which is no file; fix it",
         )
         file_size(file, self.bytes)
         digest = file_sha256(file)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from framework.errors import UserError, require
 from framework.files.limits import PLY_BYTES
-from framework.files.opened import open_regular
+from framework.files.opened import open_regular, reading
 
 HEADER_BYTES = 65536
 KINDS = {
@@ -40,11 +40,6 @@ class _Header:
     count: int
     dtype: np.dtype[Any]
     text: bool
-
-
-def read_vertices(path: Path) -> NDArray[Any]:
-    """[count] structured array of the vertices; see `read_commented`."""
-    return read_commented(path)[0]
 
 
 def read_commented(path: Path) -> tuple[NDArray[Any], list[list[str]]]:
@@ -71,21 +66,14 @@ def read_commented(path: Path) -> tuple[NDArray[Any], list[list[str]]]:
 
 
 def _text_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
-    try:
+    with reading(path, "the numbers that its header names"):
         lines = body.decode("ascii").splitlines()[header.before :][: header.count]
         rows = np.empty(0, header.dtype)
         if lines:
             rows = np.loadtxt(lines, header.dtype, comments=None, ndmin=1)
-    except (UnicodeDecodeError, ValueError, OverflowError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise UserError(
-            f"{path}: expected the numbers that its header names, got others ({reason}); the file"
-            " is damaged, write it again"
-        ) from None
     require(
         len(rows) == header.count,
-        f"{path}: expected {header.count:,} vertices, got {len(rows):,}; the file is damaged, write"
-        " it again",
+        f"{path}: expected {header.count:,} vertices, got {len(rows):,}; write it again",
     )
     return rows
 

@@ -57,12 +57,7 @@ class Mapped:
 
 
 def mapped(training: TrainingSet, depth: Sequence[DepthMap], detail: float) -> Mapped:
-    """Raises ValueError when depth maps and views do not match in number or size."""
-    if len(depth) != len(training.views):
-        raise ValueError(
-            f"mapped: expected one depth map per training view ({len(training.views)}), got"
-            f" {len(depth)}"
-        )
+    """Order the views and their depth maps."""
     order = by_centrality([view.camera for view in training.views])
     views = [training.views[i] for i in order]
     density = run_tasks([partial(detail_density, view.image.numpy(), detail) for view in views])

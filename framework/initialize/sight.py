@@ -46,18 +46,8 @@ class Sights(NamedTuple):
 
 
 def sights(views: Sequence[View], maps: Sequence[DepthMap]) -> Sights:
-    """Stack views and their depth maps. Masked and unconfident pixels have no depth.
-
-    Raises:
-        ValueError: a map has another size than its view.
-    """
+    """Stack views and their depth maps. Masked and unconfident pixels have no depth."""
     sizes = [(view.camera.height, view.camera.width) for view in views]
-    for size, estimate in zip(sizes, maps, strict=True):
-        if tuple(estimate.depth.shape) != size:
-            raise ValueError(
-                f"sights: expected a depth map {list(size)} like the camera, got"
-                f" {list(estimate.depth.shape)}"
-            )
     planes = run_tasks([partial(_confident, v, m) for v, m in zip(views, maps, strict=True)])
     pixels = np.array([height * width for height, width in sizes])
     return Sights(

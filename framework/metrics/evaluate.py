@@ -75,35 +75,6 @@ def psnr(render: Tensor, truth: Tensor, mask: Tensor | None = None) -> Measureme
     return _psnr(*_pair(render, truth, mask))
 
 
-def ssim(render: Tensor, truth: Tensor, mask: Tensor | None = None) -> Measurement:
-    """Structural similarity of [3, H, W] images.
-
-    Args:
-        mask: [H, W]. Missing below 11 x 11 pixels.
-    """
-    return _ssim(*_pair(render, truth, mask)[:2])
-
-
-def flip(render: Tensor, truth: Tensor, mask: Tensor | None = None) -> Measurement:
-    """Mean LDR-FLIP error of [3, H, W] images, 0 = no visible difference.
-
-    Args:
-        mask: [H, W].
-    """
-    return _flip(*_pair(render, truth, mask)[:2])
-
-
-def evaluate_view(
-    view: View, render: Tensor, render_s: float = 0.0, network: Lpips | None = None
-) -> ViewMetrics:
-    """Measure the `render` [3, H, W] of a test view.
-
-    Raises:
-        ValueError: when the sizes differ.
-    """
-    return _measured([(view, render, render_s)], network)[0]
-
-
 def evaluate(
     render: Callable[[Camera], Tensor],
     views: Sequence[View],
@@ -271,8 +242,6 @@ def _pair(
     if mask is None:
         return x, y, None
     valid = mask.detach().cpu().numpy() > 0.5
-    if valid.shape != x.shape[:2]:
-        raise ValueError(f"metrics: expected a mask {x.shape[:2]}, got {valid.shape}")
     x[~valid], y[~valid] = 255, 255
     return x, y, valid
 

@@ -16,7 +16,6 @@ of 504x378, VGG-16 then takes 61 of 231 GFLOP. The values are those of direct co
 
 from __future__ import annotations
 
-import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,10 +29,10 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from framework.compute.simd import LANES
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.files.archives import open_zip
 from framework.files.limits import WEIGHTS_BYTES
-from framework.files.opened import file_size
+from framework.files.opened import file_size, reading
 from framework.metrics.lpips_kernels import difference
 from framework.metrics.values import Measurement, Missing
 from framework.metrics.winograd import convolve, transformed
@@ -65,27 +64,11 @@ class Backbone:
     min_size: int
 
 
+VGG_LAYERS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28))
+ALEX_LAYERS = ((0,), (3,), (6,), (8,), (10,))
 BACKBONES = {
-    "VGG-16": Backbone(
-        "VGG",
-        ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28)),
-        2,
-        (1, 2, 3, 4),
-        {},
-        {},
-        {},
-        16,
-    ),
-    "AlexNet": Backbone(
-        "AlexNet",
-        ((0,), (3,), (6,), (8,), (10,)),
-        3,
-        (1, 2),
-        {0: 11, 3: 5},
-        {0: 4},
-        {0: 2, 3: 2},
-        31,
-    ),
+    "VGG-16": Backbone("VGG", VGG_LAYERS, 2, (1, 2, 3, 4), {}, {}, {}, 16),
+    "AlexNet": Backbone("AlexNet", ALEX_LAYERS, 3, (1, 2), {0: 11, 3: 5}, {0: 4}, {0: 2, 3: 2}, 31),
 }
 
 
@@ -202,19 +185,12 @@ def load(path: str | Path) -> Lpips:
     )
     weights = _tensors(file)
     backbone = BACKBONES["VGG-16" if "net.slice2.5.weight" in weights else "AlexNet"]
-    absent = sorted(_keys(backbone) - weights.keys())
-    require(
-        not absent,
-        f"metrics.lpips_weights: expected the LPIPS state dict of VGG-16 or AlexNet, but '{path}'"
-        f" lacks {len(absent)} tensors, first '{absent[0] if absent else ''}'; save the whole"
-        " model's state_dict()",
-    )
-    _check_fit(weights, backbone, path)
-    return Lpips(backbone, {key: weights[key] for key in _keys(backbone)})
+    return Lpips(backbone, _fitting(weights, backbone, path))
 
 
-def _check_fit(weights: dict[str, Tensor], backbone: Backbone, path: str | Path) -> None:
-    """Raise UserError unless the tensors are finite, of the shapes that kernels may read."""
+def _fitting(weights: dict[str, Tensor], backbone: Backbone, path: str | Path) -> dict[str, Tensor]:
+    """The tensors of the network; UserError unless they are finite, of the shapes that kernels may
+    read."""
     shapes: dict[str, tuple[int, ...]] = {
         f"scaling_layer.{name}": (1, 3, 1, 1) for name in ("shift", "scale")
     }
@@ -222,7 +198,7 @@ def _check_fit(weights: dict[str, Tensor], backbone: Backbone, path: str | Path)
     for stage, layers in enumerate(backbone.layers):
         for layer in layers:
             key, size = f"net.slice{stage + 1}.{layer}", backbone.kernels.get(layer, 3)
-            n_outputs = weights[f"{key}.bias"].numel()
+            n_outputs = weights.get(f"{key}.bias", torch.empty(0)).numel()
             require(
                 n_outputs in range(LANES, MOST_CHANNELS + 1, LANES),
                 f"metrics.lpips_weights: expected a multiple of {LANES} channels, at most"
@@ -234,56 +210,33 @@ def _check_fit(weights: dict[str, Tensor], backbone: Backbone, path: str | Path)
             n_inputs = n_outputs
         shapes[f"lin{stage}.model.1.weight"] = (1, n_inputs, 1, 1)
     for key, shape in shapes.items():
-        fits = weights[key].shape == shape and bool(weights[key].sum().isfinite())
+        value = weights.get(key, torch.empty(0))
         require(
-            fits,
+            value.shape == shape and bool(value.sum().isfinite()),
             f"metrics.lpips_weights: expected the finite weights of one network in '{path}', but"
-            f" '{key}' should have the shape {shape} and has {tuple(weights[key].shape)}; save the"
-            " whole model's state_dict()",
+            f" '{key}' should have the shape {shape} and has {tuple(value.shape)}; save all of it",
         )
+    return {key: weights[key] for key in shapes}
 
 
 def _tensors(file: Path) -> dict[str, Tensor]:
     # strangers' weights: weights_only refuses code, open_zip what would unpack to too much
-    try:
+    where = f"metrics.lpips_weights={file}"
+    with reading(where, "a state dict", "save it with torch.save(model.state_dict(), file)"):
         if file.suffix == ".safetensors":
             file_size(file, WEIGHTS_BYTES)
             loaded = load_file(file)
         else:
             open_zip(file, WEIGHTS_BYTES).close()
             loaded = torch.load(file, map_location="cpu", weights_only=True)
-    except Exception as error:
-        raise UserError(
-            f"metrics.lpips_weights: '{file}' is not a readable state dict ({_short(error)}); save"
-            " it with torch.save(model.state_dict(), file)"
-        ) from error
+        tensors = {str(key): value.detach() for key, value in loaded.items()}
+        n_bytes = 4 * sum(value.numel() for value in tensors.values())  # stored may be less
     require(
-        isinstance(loaded, dict) and all(isinstance(v, Tensor) for v in loaded.values()),
-        f"metrics.lpips_weights: expected a dict of tensors in '{file}', got"
-        f" {type(loaded).__name__}; save it with torch.save(model.state_dict(), file)",
+        n_bytes <= WEIGHTS_BYTES,
+        f"{where}: expected tensors of at most {WEIGHTS_BYTES:,} bytes, got {n_bytes:,}; save the"
+        " model's state_dict() alone",
     )
-    n_bytes = 4 * sum(value.numel() for value in loaded.values())  # stored may be less
-    require(
-        n_bytes <= WEIGHTS_BYTES and all(isinstance(key, str) for key in loaded),
-        f"metrics.lpips_weights: expected tensors of at most {WEIGHTS_BYTES:,} bytes in '{file}',"
-        f" got {n_bytes:,}; save the model's state_dict() alone",
-    )
-    return {key: value.detach().float().contiguous() for key, value in loaded.items()}
-
-
-def _short(error: Exception) -> str:
-    return re.sub(r"\s+", " ", str(error))[:120]
-
-
-def _keys(backbone: Backbone) -> set[str]:
-    convolutions = {
-        f"net.slice{stage + 1}.{layer}.{kind}"
-        for stage, layers in enumerate(backbone.layers)
-        for layer in layers
-        for kind in ("weight", "bias")
-    }
-    lins = {f"lin{stage}.model.1.weight" for stage in range(len(backbone.layers))}
-    return convolutions | lins | {"scaling_layer.shift", "scaling_layer.scale"}
+    return {key: value.float().contiguous() for key, value in tensors.items()}
 
 
 @contextmanager

@@ -16,17 +16,8 @@ AVERAGE, COADAPTATION, RANK = "avge", "coadaptation", "effective_rank"
 LPIPS_BOTH, VIEWS = "lpips_both", "views"  # options of `metrics`
 LARGEST = 1e15  # of a number in a record or a table: reports square and sum them
 MEASURES: dict[str, type] = {}  # plugins that `metrics.also` chooses from
-RESERVED = (
-    *METRICS,
-    AVERAGE,
-    COADAPTATION,
-    RANK,
-    "view",
-    "tags",
-    "render_s",
-    "file",
-    "missing",
-)  # columns of metrics.csv
+# columns of metrics.csv
+RESERVED = (*METRICS, AVERAGE, COADAPTATION, RANK, "view", "tags", "render_s", "file", "missing")
 
 
 def digits(metric: str) -> int:

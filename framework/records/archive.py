@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from framework.errors import UserError, printable_line, require
+from framework.errors import printable_line, require
 from framework.files.documents import json_value
 from framework.files.limits import RUNS, TEXT_BYTES
-from framework.files.opened import is_file, read_text
+from framework.files.opened import is_file, read_text, reading
 from framework.records import RUN_FOLDERS
 from framework.records.provenance import strict_json
 from framework.records.record import Run, record_content, record_of
@@ -67,15 +67,9 @@ def read_archive(folder: Path) -> list[Entry]:
     require(len(lines) <= RUNS, f"{path}: expected at most {RUNS:,} runs, got {len(lines):,}")
     entries = []
     for number, line in enumerate(lines, 1):
-        try:
+        expected = f"a run of schema {SCHEMA} in line {number}"
+        with reading(path, expected, "write the report again from the runs"):
             entries.append(_entry(folder, json_value(path, line)))
-        except UserError:
-            raise
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise UserError(
-                f"{path}: expected a run of schema {SCHEMA} in line {number}, got another"
-                f" ({type(error).__name__}: {error}); write the report again from the runs"
-            ) from error
     return entries
 
 

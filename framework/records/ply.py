@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from framework.errors import UserError, require
-from framework.files.opened import is_file
+from framework.errors import require
+from framework.files.opened import is_file, reading
 from framework.files.ply import COUNT, read_commented
 from framework.files.whole import write_whole
 
@@ -221,13 +221,8 @@ def _rest_count(names: Sequence[str], path: Path) -> int:
 
 
 def _background(values: list[str], path: Path) -> list[float]:
-    try:
+    with reading(path, "'comment background r g b' with three finite numbers"):
         red, green, blue = (float(value) for value in values)
         if not all(map(math.isfinite, (red, green, blue))):
             raise ValueError("NaN or infinity")
-    except ValueError as error:
-        raise UserError(
-            f"{path}: expected 'comment background r g b' with three finite numbers, got"
-            f" '{' '.join(values)[:60]}'; correct the header"
-        ) from error
     return [red, green, blue]

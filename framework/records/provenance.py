@@ -31,11 +31,8 @@ PACKAGES = (
     *("pycolmap", "opencv-contrib-python-headless", "hydra-core"),
 )
 MAKING = ("run.py", "pyproject.toml", "framework", "plugins", "conf", "sweeps")  # a result
-SHOWING = (
-    "framework/exports/",
-    "framework/report/",
-    "framework/view/",
-)  # rooms that no result depends on
+# rooms that no result depends on
+SHOWING = tuple(f"framework/{room}/" for room in ("exports", "report", "view"))
 BITS = "bits"  # of a run whose rasterizer does not keep them: why its repetition differs
 
 
@@ -74,10 +71,8 @@ def git_state(root: Path) -> dict[str, Any] | None:
     # an installed copy may lie inside somebody else's repository, which says nothing about it
     if _git(root, "ls-files", "--error-unmatch", "framework/__init__.py") is None:
         return None
-    sha, status = (
-        _git(root, "rev-parse", "HEAD"),
-        _git(root, "status", "--porcelain", "--", *MAKING),
-    )
+    sha = _git(root, "rev-parse", "HEAD")
+    status = _git(root, "status", "--porcelain", "--", *MAKING)
     if sha is None or status is None:
         return None
     return {"sha": sha, "dirty": bool(status)}

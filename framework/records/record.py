@@ -23,7 +23,6 @@ is null with its reason in another field. Importing this module and reading reco
 from __future__ import annotations
 
 import contextlib
-import csv
 import dataclasses
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -36,7 +35,7 @@ import numpy as np
 from framework.errors import UserError, printable_line
 from framework.files.documents import read_json
 from framework.files.limits import RUN_BYTES
-from framework.files.opened import is_file
+from framework.files.opened import is_file, reading
 from framework.files.paths import inside
 from framework.files.whole import Written, difference, following, write_whole
 from framework.metrics.evaluate import mean_of
@@ -70,6 +69,7 @@ LEARNED = "learned_weights"  # in the provenance: of poses and depth, "" if no n
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, FAILED, PLY = "record.json", "failed.json", "point_cloud.ply"
 DIVERGED = "diverged.safetensors"
+AGAIN = "delete that folder and run again"
 
 
 @dataclass(frozen=True)
@@ -302,13 +302,9 @@ def read_record(path: Path) -> RunRecord:
         UserError: when it is missing or damaged.
     """
     content = read_json(path, RUN_BYTES)
-    try:
-        return record_of(content)
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(
-            f"{path}: expected a run's record, got a damaged one ({type(error).__name__}: {error});"
-            " delete that folder and run again"
-        ) from error
+    with reading(path, "a run's record", AGAIN):
+        record = record_of(content)
+    return record
 
 
 def read_run(run_dir: Path) -> Run:
@@ -320,15 +316,8 @@ def read_run(run_dir: Path) -> Run:
     record = read_record(run_dir / RECORD)
     if record.status != "complete":
         return Run(run_dir, record)
-    try:
+    with reading(run_dir, f"{METRICS_CSV} and {HISTORY_CSV} as a run writes them", AGAIN):
         metrics, history = (read_table(run_dir / name) for name in (METRICS_CSV, HISTORY_CSV))
-    except UserError:
-        raise
-    except (ValueError, IndexError, OverflowError, csv.Error) as error:
-        raise UserError(
-            f"{run_dir}: expected {METRICS_CSV} and {HISTORY_CSV} as a run writes them, got damaged"
-            f" ones ({error}); delete that folder and run again"
-        ) from error
     return Run(run_dir, record, metrics, history)
 
 
@@ -447,12 +436,7 @@ def read_failure(run_dir: Path) -> Failure:
     """Raises UserError when the file is missing or damaged."""
     path = run_dir / FAILED
     content = read_json(path, RUN_BYTES)
-    try:
+    with reading(path, "the error of a failed run", AGAIN):
         check_failure(content)
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(
-            f"{path}: expected the error of a failed run, got a damaged file"
-            f" ({type(error).__name__}: {error}); delete that folder and run again"
-        ) from error
     overrides = tuple(content["overrides"])
     return Failure(content["error"], content["kind"], overrides, content["again"])

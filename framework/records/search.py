@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from framework.errors import UserError, require
 from framework.files.documents import read_json
 from framework.files.limits import RUN_BYTES
-from framework.files.opened import is_file
+from framework.files.opened import is_file, reading
 from framework.metrics.values import METRICS
 
 SEARCH = "search.json"
@@ -54,17 +53,11 @@ def read_search(folder: Path) -> Searched | None:
     if not is_file(path):
         return None
     content = read_json(path, RUN_BYTES)
-    try:
-        require(content["metric"] in METRICS, "unknown metric")
-        return Searched(
-            content["metric"],
-            tuple(map(str, content["fixed"])),
-            tuple(map(_trial, content["trials"])),
-        )
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise UserError(
-            f"{path}: expected the trials of a search, got another file; remove it"
-        ) from error
+    with reading(path, "the trials of a search", "remove it"):
+        metric = METRICS[METRICS.index(content["metric"])]
+        fixed, trials = map(str, content["fixed"]), map(_trial, content["trials"])
+        searched = Searched(metric, tuple(fixed), tuple(trials))
+    return searched
 
 
 def _trial(entry: Any) -> Trial:

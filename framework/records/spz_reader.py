@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.files.limits import PLY_BYTES
-from framework.files.opened import read_bytes
+from framework.files.opened import read_bytes, reading
 from framework.records.ply import Splats
 
 SUFFIX = ".spz"
@@ -53,7 +53,7 @@ def unpacked(content: bytes, where: object) -> Splats:
         where: named in errors.
     """
     decoder = zlib.decompressobj(GZIP)
-    try:
+    with reading(where, "an SPZ file", "export it again"):
         header = decoder.decompress(content, HEADER.size)
         require(len(header) == HEADER.size and header[:4] == b"NGSP", f"{where}: not an SPZ file")
         _, version, n, degree, fraction, _, _ = HEADER.unpack(header)
@@ -66,8 +66,6 @@ def unpacked(content: bytes, where: object) -> Splats:
         size = n * (BYTES + 3 * rest)
         require(size <= PLY_BYTES, f"{where}: expected at most {PLY_BYTES:,} bytes, got {size:,}")
         body = decoder.decompress(decoder.unconsumed_tail, size)
-    except zlib.error as error:
-        raise UserError(f"{where}: expected an SPZ file, got {error}; export it again") from None
     require(len(body) == size, f"{where}: the file is cut off; export the run again")
     values = np.frombuffer(body, np.uint8)
     ends = np.cumsum([9 * n, n, 3 * n, 3 * n, 4 * n])

@@ -6,7 +6,7 @@ Importing this package imports none of the heavy libraries; `load` does.
 from framework.scenes.blender import Blender
 from framework.scenes.colmap import Colmap, Mip360
 from framework.scenes.dtu import Dtu
-from framework.scenes.embedded import Embedded
+from framework.scenes.embedded.generate import Embedded
 from framework.scenes.llff import Llff
 from framework.scenes.photos import Photos
 from framework.scenes.splits import ALL, DRAWN, HELD_OUT, UNTESTED, published_split, untested

@@ -82,8 +82,6 @@ class Tracks:
         index = np.array(columns, dtype=np.intp)
         if not len(self.xyz):
             return Tracks(seen=np.zeros((0, len(index)), dtype=bool))
-        if np.array_equal(index, np.arange(self.seen.shape[1])):
-            return self
         seen = self.seen[:, index] & (index >= 0)
         left = seen.sum(axis=1)
         keep = (left >= 2) | (left == self.seen.sum(axis=1))
@@ -240,7 +238,7 @@ def assemble(
     check_places(_centers(both), [shot.name for shot in both], far, where)
     focal = max(float(shot.K[:2, :2].max()) for shot in both)
     _warn_of_one_place(where, train, near)
-    check_rounding(_centers(both), focal, near, far, where)
+    check_rounding(_centers(both), focal, near, where)
     if not len(points.xyz):
         points = points.for_training(range(len(train)))
     paper = paper if any(shot.clear for shot in train) else None

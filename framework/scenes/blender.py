@@ -33,7 +33,7 @@ from framework.scenes.splits import (
     untested,
 )
 from framework.scenes.transforms import PAPERS
-from framework.scenes.transforms_file import read_in_order, with_photos
+from framework.scenes.transforms_file import read_frames, with_photos
 
 log = logging.getLogger(__name__)
 
@@ -65,9 +65,9 @@ class Blender(FolderScene):
         self.expect_choice("paper", tuple(PAPERS))
 
     def listing(self, folder: Path) -> Listing:
-        first = read_in_order(inside(folder, TRAINING), self.poses)
+        first = read_frames(inside(folder, TRAINING), self.poses)
         without_tests = untested(self.split) and not is_file(folder / TESTING)
-        second = [] if without_tests else read_in_order(inside(folder, TESTING), self.poses)
+        second = [] if without_tests else read_frames(inside(folder, TESTING), self.poses)
         both = sorted({f.file.resolve() for f in first} & {f.file.resolve() for f in second})
         require(
             not both,
@@ -127,6 +127,5 @@ def _warn_of_depths(
     if depths.min() > 0 and not near <= depth <= far:
         log.warning(
             f"{where}: the cameras look at a point at depth {depth:.3g}, outside"
-            f" scene.near={near:g} and scene.far={far:g}; set these to the depths between which the"
-            " object lies"
+            f" scene.near={near:g} and scene.far={far:g}; set these to the depths around it"
         )

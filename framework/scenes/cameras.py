@@ -5,7 +5,6 @@ limits exceed any real camera; values beyond them come from a damaged or forged 
 cause a division by zero or meaningless numbers in a report.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import astuple
 
@@ -18,7 +17,6 @@ from framework.files.limits import SIDE_PIXELS
 from framework.scenes.lens import Lens
 
 NOT_ROTATION = 1e-3  # largest deviation of R^T R from the identity
-NOT_UNIT = 1e-2  # largest deviation of a quaternion's length from 1; below, it is normalised
 FARTHEST = 1e9  # scene units; float32 must hold its cube
 FOCAL = (0.01, 1000.0)  # focal lengths, over the longer side of the image
 OFF_CENTER = 10.0  # offset of the principal point from the middle, over the longer side
@@ -38,17 +36,13 @@ def checked_pose(viewmat: NDArray[np.float64], where: str) -> NDArray[np.float64
     Raises:
         UserError: unless it is a rigid motion.
     """
-    require(
-        bool(np.isfinite(viewmat).all()),
-        f"{where}: expected a finite pose, got NaN or infinity; correct it or remove the photo",
-    )
     rotation = viewmat[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-        turned = float(np.linalg.det(rotation)) > 0
-    got = f"others (off by {off:.2g})" if turned else "left-handed ones"
+        mirrored = float(np.linalg.det(rotation)) < 0
+    got = "left-handed ones" if mirrored else f"others (off by {off:.2g})"
     require(
-        turned and off <= NOT_ROTATION,
+        not mirrored and off <= NOT_ROTATION,  # false for NaN too
         f"{where}: expected right-handed, orthonormal camera axes (within {NOT_ROTATION:g}), got"
         f" {got}; scale positions, not axes",
     )
@@ -59,16 +53,6 @@ def checked_pose(viewmat: NDArray[np.float64], where: str) -> NDArray[np.float64
         " position or scale the scene",
     )
     return viewmat
-
-
-def check_quaternion(quaternion: Sequence[float], where: str) -> None:
-    """Raise UserError unless the quaternion has a length of about 1."""
-    length = math.hypot(*quaternion)
-    require(
-        abs(length - 1.0) <= NOT_UNIT,  # false for NaN too
-        f"{where}: expected a rotation, a quaternion of length 1 (within {NOT_UNIT:g}), got length"
-        f" {length:.4g}; rebuild the model",
-    )
 
 
 def checked_lens(lens: Lens, where: str) -> Lens:
@@ -139,30 +123,22 @@ def check_places(
     )
 
 
-def check_rounding(
-    centers: NDArray[np.float64], focal: float, near: float, far: float, where: str
-) -> None:
+def check_rounding(centers: NDArray[np.float64], focal: float, near: float, where: str) -> None:
     """Raise UserError for a scene so far from the origin that float32 is too coarse for it, as with
     geographic coordinates.
 
     Args:
         centers: [n, 3] of the cameras.
         focal: longest focal length in pixels.
-        near, far: depth bounds.
+        near: depth bound.
         where: starts a message.
     """
-    places = np.abs(centers).max(axis=1) + min(near, far)
-    away = float(places.max())
+    away = float(np.abs(centers).max()) + near
     pixels = away * float(np.finfo(np.float32).eps) * focal / near
-    median = np.median(centers, axis=0)
-    middle = ", ".join(f"{value:.6g}" for value in median)
-    hint = f"subtract ({middle}) from all positions and points"
-    if (
-        2 * float(np.abs(median).max()) < away
-    ):  # the scene is near the origin, but too close to a camera
-        hint = "raise the near bound or scene.downscale"
+    middle = ", ".join(f"{value:.6g}" for value in np.median(centers, axis=0))
     require(
         pixels <= ROUNDED,
         f"{where}: expected cameras near the origin, got one {away:.3g} from it, where 32-bit"
-        f" numbers round what is {near:.3g} before it by {pixels:.2g} pixels; {hint}",
+        f" numbers round what is {near:.3g} before it by {pixels:.2g} pixels; subtract ({middle})"
+        " from all positions and points, or raise the near bound",
     )

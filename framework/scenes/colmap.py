@@ -22,7 +22,7 @@ from typing import ClassVar
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.colmap_model import Model, choose_model
+from framework.scenes.colmap_model import choose_model
 from framework.scenes.conventions import decoded_as
 from framework.scenes.images import EIGHTH_OR_FULL, photo_folder
 from framework.scenes.layout import FolderScene, Listing
@@ -75,11 +75,16 @@ def list_colmap(
     """
     require(
         photos.is_dir(),
-        f"{photos}: expected a folder of the model's photos, got no such folder; correct"
-        " scene.images",
+        f"{photos}: expected a folder of the model's photos, got none; correct scene.images",
     )
-    model = _model(folder, photos, options.model)
     where = f"scene={loader or options.layout}: {folder}"
+    chosen = choose_model(folder, options.model, lambda m: len(match_photos(photos, m.names)))
+    if chosen is None:
+        raise UserError(
+            f"{folder}: expected a COLMAP model in sparse/0 or sparse (cameras, images, points3D as"
+            " .bin or .txt), found none; is scene.path right? Without poses: scene=photos"
+        )
+    _, model = chosen
     files = find_photos(photos, model.names, where)
     warn_unplaced(photos, files.values())
     names, lenses = [model.names[i] for i in files], [model.lenses[i] for i in files]
@@ -95,14 +100,3 @@ def list_colmap(
         options.near,
         options.far,
     )
-
-
-def _model(folder: Path, photos: Path, option: str) -> Model:
-    chosen = choose_model(folder, option, lambda model: len(match_photos(photos, model.names)))
-    if chosen is None:
-        raise UserError(
-            f"{folder}: expected a COLMAP model in sparse/0 or sparse (cameras, images, points3D as"
-            " .bin or .txt), found none; is scene.path right? For photos without poses:"
-            " scene=photos"
-        )
-    return chosen[1]

@@ -27,19 +27,19 @@ import re
 import struct
 from array import array
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.files.limits import MODEL_BYTES, MODEL_CELLS
-from framework.files.opened import is_file, read_bytes, read_text
+from framework.files.opened import is_file, read_bytes, read_text, reading
 from framework.files.paths import inside
 from framework.scenes.assemble import Tracks
-from framework.scenes.cameras import check_quaternion, near_points
+from framework.scenes.cameras import near_points
 
 log = logging.getLogger(__name__)
 
@@ -91,16 +91,11 @@ class Point(NamedTuple):
     track: NDArray[np.int64]
 
 
-class Files(NamedTuple):
-    """A model's cameras by id, its images sorted by name, and its points."""
-
-    cameras: dict[int, Camera]
-    images: list[Image]
-    tracks: Tracks
-
-
-def read_files(folder: Path) -> Files:
+def read_files(folder: Path) -> tuple[dict[int, Camera], list[Image], Tracks]:
     """Read the model in `folder`; one of known poses may lack `points3D`.
+
+    Returns:
+        Its cameras by id, its images sorted by name, and its points.
 
     Raises:
         UserError: a file is missing or damaged.
@@ -117,12 +112,11 @@ def read_files(folder: Path) -> Files:
         once = image.id not in images and image.name not in names
         expected = "each image once, with a camera that is listed"
         _check(once and image.camera in cameras, readers[1], expected, image.name[:80])
-        check_quaternion(image.pose[:4], f"{files[1]}: image '{image.name[:80]}'")
         images[image.id] = image
         names.add(image.name)
     in_order = sorted(images.values(), key=lambda image: image.name)
     tracks = _tracks(readers[2], in_order) if len(readers) == len(STEMS) else Tracks()
-    return Files(cameras, in_order, tracks)
+    return cameras, in_order, tracks
 
 
 def _tracks(reader: _Binary | _Text, images: Sequence[Image]) -> Tracks:
@@ -157,39 +151,27 @@ def _tracks(reader: _Binary | _Text, images: Sequence[Image]) -> Tracks:
 
 
 def _files(folder: Path) -> list[Path]:
-    """The files of the model, all of one suffix."""
-    for suffix in _order(folder):
-        files = [folder / f"{stem}{suffix}" for stem in STEMS]
-        missing = [file.name for file in files[:2] if not is_file(file)]
-        if not missing:
-            break
-    if not is_file(files[2]):
-        other = files[2].with_suffix(".txt" if suffix == ".bin" else ".bin")
-        missing += [files[2].name] if missing or is_file(other) else []
-        files = files[:2]
-    require(
-        not missing,
-        f"{folder}: expected cameras, images and points3D as .bin or .txt, missing"
-        f" {', '.join(missing)}; copy the whole model",
-    )
-    return [inside(folder, file.name) for file in files]
-
-
-def _order(folder: Path) -> tuple[str, str]:
-    """The suffixes of model files, the preferred one first: .bin, or .txt if it is newer, as after
-    the text was edited. Logs a warning in the second case."""
-    newest = {
-        suffix: max(file.stat().st_mtime for file in files)
+    """The files of the model, all of one suffix: .bin, or .txt if it is newer, as after the text
+    was edited, which is logged as a warning."""
+    binary, text = (
+        [file for stem in STEMS if is_file(file := folder / f"{stem}{suffix}")]
         for suffix in (".bin", ".txt")
-        if all(map(is_file, files := [folder / f"{stem}{suffix}" for stem in STEMS]))
-    }
-    if len(newest) < 2 or newest[".txt"] <= newest[".bin"]:
-        return ".bin", ".txt"
-    log.warning(
-        f"{folder}: the model is there as .bin and as .txt; the .txt files are newer and are read;"
-        " remove the files that are out of date"
     )
-    return ".txt", ".bin"
+    files = max(
+        (binary, text), key=lambda of: (len(of), max((f.stat().st_mtime for f in of), default=0))
+    )
+    stems = [file.stem for file in files]
+    require(  # a model of known poses may lack points3D
+        len(files) > 1 and stems == [*STEMS[: len({f.stem for f in binary + text})]],
+        f"{folder}: expected cameras, images and points3D, all as .bin or all as .txt, got"
+        f" {', '.join(file.name for file in binary + text) or 'none'}; copy the whole model",
+    )
+    if files is text and len(binary) == len(text):
+        log.warning(
+            f"{folder}: the model is there as .bin and as .txt; the .txt files are newer and are"
+            " read; remove the files that are out of date"
+        )
+    return [inside(folder, file.name) for file in files]
 
 
 def _check(good: bool, reader: _Binary | _Text, expected: str, got: object) -> None:
@@ -249,13 +231,9 @@ class _Binary:
         end = self.data.find(b"\0", self.at)
         name = self.data[self.at : max(end, self.at)]
         self._skip(end + 1 - self.at if end >= 0 else len(self.data) + 1)
-        try:
-            return name.decode("utf-8")
-        except UnicodeDecodeError:
-            raise UserError(
-                f"{self.where}: expected image names in UTF-8, got {name[:60]!r}; rename the image"
-                " or rebuild the model"
-            ) from None
+        with reading(self.where, f"an image's name in UTF-8, not {name[:60]!r}", DAMAGED):
+            text = name.decode("utf-8")
+        return text
 
     def _finish(self) -> None:
         rest = len(self.data) - self.at
@@ -270,10 +248,7 @@ class _Text:
         text = read_text(path, MODEL_BYTES)
         self.lines = text.replace("\r\n", "\n").removesuffix("\n").split("\n")
         if text and not text.endswith("\n"):
-            log.warning(
-                f"{path}: the last line has no newline; if the file is truncated, copy it again,"
-                " else add one"
-            )
+            log.warning(f"{path}: the last line has no newline; if it is truncated, copy it again")
 
     def cameras(self) -> Iterator[Camera]:
         for line in self._records("cameras"):
@@ -327,16 +302,9 @@ class _Text:
             " damaged; copy it again or rebuild the model",
         )
 
-    @contextmanager
-    def _damage(self, line: str) -> Iterator[None]:
+    def _damage(self, line: str) -> AbstractContextManager[None]:
         """Raise UserError if the line does not hold the values that its record has."""
-        try:
-            yield
-        except (ValueError, OverflowError) as error:
-            raise UserError(
-                f"{self.where}: expected the values of COLMAP's format, got '{line[:80]}'"
-                f" ({str(error)[:80]}); {DAMAGED}"
-            ) from None
+        return reading(self.where, f"the values of COLMAP's format in '{line[:80]}'", DAMAGED)
 
 
 def _floats(words: Sequence[str]) -> tuple[float, ...]:

@@ -22,6 +22,7 @@ from framework.scenes.lens import Distortion, Lens
 log = logging.getLogger(__name__)
 
 PLY = "points3D.ply"  # written in place of points3D.bin by MASt3R's and other exports
+NOT_UNIT = 1e-2  # largest deviation of a quaternion's length from 1; below, it is normalised
 ROUNDED = 1e-12  # deviation of a unit quaternion's length by rounding
 SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
@@ -86,8 +87,7 @@ def choose_model(
     if others:
         log.warning(
             f"{folder}: of {len(others) + 1} COLMAP models {best.relative_to(folder)} is used, with"
-            f" poses of {counts[best]} photos, and not {', '.join(others)}; scene.model=FOLDER"
-            " chooses another"
+            f" poses of {counts[best]} photos, and not {', '.join(others)}; see scene.model=FOLDER"
         )
     return best, models[best]
 
@@ -136,6 +136,16 @@ def _lens(camera: Camera, folder: Path) -> Lens:
 def _viewmat(pose: Sequence[float], where: str) -> NDArray[np.float64]:
     """[4, 4] world-to-camera of a quaternion wxyz and a translation."""
     length = math.hypot(*pose[:4])
+    require(
+        abs(length - 1.0) <= NOT_UNIT,  # false for NaN too
+        f"{where}: expected a rotation, a quaternion of length 1 (within {NOT_UNIT:g}), got length"
+        f" {length:.4g}; rebuild the model",
+    )
+    require(
+        abs(length - 1.0) <= NOT_UNIT,  # false for NaN too
+        f"{where}: expected a rotation, a quaternion of length 1 (within {NOT_UNIT:g}), got length"
+        f" {length:.4g}; rebuild the model",
+    )
     scale = length if abs(length - 1) > ROUNDED else 1.0  # COLMAP uses unit quaternions as they are
     w, x, y, z = (value / scale for value in pose[:4])
     viewmat = np.eye(4)

@@ -6,8 +6,7 @@ import numpy as np
 
 from framework.errors import require
 from framework.files.limits import MODEL_CELLS
-from framework.files.opened import is_file
-from framework.files.ply import read_vertices
+from framework.files.ply import read_commented
 from framework.scenes.assemble import Tracks
 from framework.scenes.cameras import near_points
 
@@ -23,11 +22,7 @@ def read_coloured(path: Path, images: int) -> Tracks:
     Raises:
         UserError: if the file lacks them, or has too many.
     """
-    require(
-        is_file(path),
-        f"{path}: expected a PLY file of coloured points, found none; correct scene.points",
-    )
-    vertices = read_vertices(path)
+    vertices, _ = read_commented(path)
     lacks = [name for name in COLUMNS if name not in (vertices.dtype.names or ())]
     require(
         not lacks,
@@ -44,7 +39,6 @@ def read_coloured(path: Path, images: int) -> Tracks:
     cells = int(good.sum()) * images
     require(
         cells <= MODEL_CELLS,
-        f"points: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; thin out the"
-        " points",
+        f"points: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; thin them out",
     )
     return Tracks(xyz[good], rgb[good], np.zeros((int(good.sum()), images), dtype=bool))

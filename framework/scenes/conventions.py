@@ -50,16 +50,10 @@ def repaired(training: TrainingSet, layout: str, other: str) -> TrainingSet:
     """The training set with its poses decoded under `other` instead of `layout`."""
     import torch
 
-    views = [
-        replace(
-            view,
-            camera=replace(
-                view.camera,
-                viewmat=torch.from_numpy(decoded_as(view.camera.viewmat.numpy(), layout, other)),
-            ),
-        )
-        for view in training.views
-    ]
+    views = []
+    for view in training.views:
+        viewmat = torch.from_numpy(decoded_as(view.camera.viewmat.numpy(), layout, other))
+        views.append(replace(view, camera=replace(view.camera, viewmat=viewmat)))
     return replace(training, views=tuple(views))
 
 

@@ -76,11 +76,9 @@ class FolderScene:
             f"the scene's folder, got '{self.path}'; give scene.path=DIR",
         )
         check_n_views(self.layout, self.n_views, all_too=True)
-        least, factor = self.least_downscale, self.downscale
         self.expect(
-            (factor is None and type(self).downscale is None)
-            or (is_whole(factor) and factor is not None and factor >= least),
-            f"downscale to be an integer >= 1, got {factor}; 1 keeps the photos' size",
+            self.downscale is None or self.downscale >= self.least_downscale,
+            f"downscale to be an integer >= 1, got {self.downscale}; 1 keeps the photos' size",
         )
         if not (self.splits_by_file and self.split in FILES):
             protocol(self.split)
@@ -93,8 +91,7 @@ class FolderScene:
         bounds = [bound for bound in (self.near, self.far) if bound is not None]
         self.expect(
             all(0 < bound < math.inf for bound in bounds) and bounds == sorted(set(bounds)),
-            f"0 < near < far, got near={self.near}, far={self.far}; correct scene.near and"
-            " scene.far",
+            f"0 < near < far, got near={self.near}, far={self.far}; correct one of them",
         )
         self.expect_choice("poses", CONVENTIONS)
 
@@ -158,12 +155,7 @@ def load_listed(options: FolderScene, listed: Listing) -> Scene:
 def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> None:
     """Check for a positive integer; `all_too` also allows `all`."""
     require(
-        (is_whole(n_views) and int(n_views) >= 1) or (all_too and n_views == ALL),
+        (type(n_views) is int and n_views >= 1) or (all_too and n_views == ALL),
         f"scene={loader}: expected n_views to be an integer >= 1{f' or {ALL}' if all_too else ''},"
         f" got {n_views}; set scene.n_views",
     )
-
-
-def is_whole(value: object) -> bool:
-    """Whether it is an integer; True and False are none."""
-    return isinstance(value, int) and not isinstance(value, bool)

@@ -87,7 +87,12 @@ def colmap_tracks(
         tracks = read.tracks.of_images(best.columns.tolist())
         unmoved = bool((best.world == np.eye(4)).all())
         return tracks if unmoved else replace(tracks, xyz=moved(tracks.xyz, best.world))
-    error = _mismatch(path, source, names, read, best)
+    error = UserError(
+        f"{path}: expected the poses of {source} ({len(names)} images), got {len(read.names)}"
+        f" images, {int((best.columns >= 0).sum())} of them with the same names, camera centres up"
+        f" to {best.away:.3g} away (rig radius {best.size:.3g}); remove the folder or rebuild the"
+        " model with these poses"
+    )
     if folder / "colmap" not in path.parents:
         raise error
     log.warning(f"{error}; its points are not used")  # nerfstudio may have changed the poses since
@@ -130,15 +135,3 @@ def _same_names(listed: Sequence[str], names: Sequence[str]) -> NDArray[np.intp]
     once = [{s for s, times in Counter(stems).items() if times == 1} for stems in (theirs, ours)]
     index = {stem: i for i, stem in enumerate(theirs) if stem in once[0] & once[1]}
     return np.array([index.get(stem, -1) for stem in ours], dtype=np.intp)
-
-
-def _mismatch(path: Path, source: str, names: Sequence[str], model: Model, fit: _Fit) -> UserError:
-    if fit.away > 0:
-        return UserError(
-            f"{path}: expected the poses of {source}, got camera centres up to {fit.away:.3g} away"
-            f" (rig radius {fit.size:.3g}); remove the folder or rebuild the model with these poses"
-        )
-    return UserError(
-        f"{path}: expected the {len(names)} images of {source}, got {len(model.names)} with other"
-        " names; remove the folder (then there are no sparse points) or rebuild the model"
-    )

@@ -103,7 +103,6 @@ class Protocol:
             where: starts a message.
             missing: indices of names without a photo.
         """
-        require(list(names) == sorted(names), f"{where}: split protocols need sorted names")
         require(
             self.images in (None, len(names)),
             f"{where}: expected {self.images} images for scene.split={self.name}, got {len(names)};"
@@ -124,14 +123,12 @@ class Protocol:
         if count > len(pool):
             raise UserError(
                 f"{where}: expected n_views of at most {len(pool)} ({len(names)} images, of which"
-                f" scene.split={self.name} keeps {len(test)} for testing), got {n_views}; lower"
-                " n_views"
+                f" scene.split={self.name} keeps {len(test)} for testing), got {n_views}; lower it"
             )
         require(
             DRAWN not in self.name or count < len(pool),
             f"{where}: expected n_views below {len(pool)}, the views that may train, for"
-            f" scene.split={self.name} to draw from, got {n_views}: every draw would be the same;"
-            " set scene.n_views",
+            f" scene.split={self.name} to draw from, got {n_views}; lower it: all draws are equal",
         )
         train = sorted(self.pick(pool, count))
         if self.held_out:

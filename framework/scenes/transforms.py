@@ -69,7 +69,7 @@ class Transforms(FolderScene):
 
     def listing(self, folder: Path) -> Listing:
         file, where = inside(folder, self.file), f"scene=transforms: {folder}"
-        listed = read_frames(file, self.poses)
+        listed = sorted(read_frames(file, self.poses), key=lambda frame: frame.name)
         frames = [*with_photos(file, listed).values()]
         return Listing(
             folder.resolve().name,
@@ -99,8 +99,7 @@ class Transforms(FolderScene):
             require(
                 bool(test) and bool(by_file.divide(len(names))[1]),
                 f"{file}: expected photos of its test_filenames or val_filenames for"
-                f" scene.split={self.split}, got none; name or restore them, or use"
-                " scene.split=llff",
+                f" scene.split={self.split}, got none; name or restore them",
             )
             return by_file.split(names, self.n_views, where)
         split = protocol(self.split).split(names, self.n_views, where)
@@ -118,13 +117,13 @@ class Transforms(FolderScene):
             return Tracks()
         if self.points != "auto":
             return read_coloured(inside(folder, self.points), len(frames))
-        extras = read_extras(file)
+        ply, worlds = read_extras(file)
         names, viewmats = [f.name for f in frames], [f.viewmat for f in frames]
-        tracks = colmap_tracks(folder, self.file, names, viewmats, self.model, extras.worlds)
-        if len(tracks.xyz) or extras.ply is None:
+        tracks = colmap_tracks(folder, self.file, names, viewmats, self.model, worlds)
+        if len(tracks.xyz) or ply is None:
             return tracks
         try:
-            return read_coloured(extras.ply, len(frames))
+            return read_coloured(ply, len(frames))
         except UserError as error:
             log.warning(f"{error}; the points of ply_file_path are not used")
             return tracks

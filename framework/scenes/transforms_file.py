@@ -75,11 +75,8 @@ class Frame:
         v = self.values
         w, h = v.get("w", width), v.get("h", height)
         fx = self._focal("fl_x", "camera_angle_x", w)
-        require(
-            fx is not None,
-            f"{self.where}: expected fl_x or camera_angle_x, got neither; add one to the file",
-        )
-        assert fx is not None
+        if fx is None:
+            raise UserError(f"{self.where}: expected fl_x or camera_angle_x, got neither; add one")
         fy = self._focal("fl_y", "camera_angle_y", h)
         distortion = Distortion(*(v.get(k, 0.0) for k in LENS))
         cx, cy = v.get("cx", w / 2), v.get("cy", h / 2)
@@ -100,11 +97,6 @@ class Frame:
 
 
 def read_frames(path: Path, poses: str = LAYOUT_POSES) -> list[Frame]:
-    """Read the frames, sorted by name; see `read_in_order`."""
-    return sorted(read_in_order(path, poses), key=lambda frame: frame.name)
-
-
-def read_in_order(path: Path, poses: str = LAYOUT_POSES) -> list[Frame]:
     """Read the frames in the file's order; photos may be missing.
 
     Args:
@@ -143,44 +135,24 @@ def with_photos(path: Path, frames: Sequence[Frame]) -> dict[int, Frame]:
     return kept
 
 
-@dataclass(frozen=True)
-class Extras:
-    """nerfstudio's fields about points.
+def read_extras(path: Path) -> tuple[Path | None, tuple[NDArray[np.float64], ...]]:
+    """Read nerfstudio's fields about points.
 
-    Attributes:
-        ply: the file of `ply_file_path`.
-        worlds: [4, 4] transforms that may lead from the world of the COLMAP model to that of the
-            poses.
-    """
-
-    ply: Path | None
-    worlds: tuple[NDArray[np.float64], ...]
-
-
-def read_extras(path: Path) -> Extras:
-    """Read `ply_file_path` and `applied_transform`.
+    Returns:
+        The file of `ply_file_path`, and [4, 4] transforms that may lead from the world of the
+        COLMAP model to that of the poses.
 
     Raises:
         UserError: for invalid ones.
     """
     data = _read_json(path)
     ply = _text(data, "ply_file_path", str(path))
-    applied = data.get("applied_transform", OLD_NERFSTUDIO)
-    try:
-        matrix = np.array(applied, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.zeros(0)
+    matrix = _matrix(data.get("applied_transform", OLD_NERFSTUDIO))
     require(
-        matrix.shape in ((3, 4), (4, 4)) and bool(np.isfinite(matrix).all()),
-        f"{path}: expected applied_transform to be a 3x4 matrix, got {str(applied)[:80]}; correct"
-        " or remove it",
+        matrix.shape == (4, 4) and bool(np.isfinite(matrix).all()),
+        f"{path}: expected applied_transform to be a 3x4 matrix, got another; correct or remove it",
     )
-    world = np.eye(4)
-    world[:3] = matrix[:3]
-    return Extras(
-        None if ply is None else find_photo(path.parent, ply),
-        (np.eye(4), world),
-    )
+    return None if ply is None else find_photo(path.parent, ply), (np.eye(4), matrix)
 
 
 def read_cameras(path: Path) -> list[Frame]:
@@ -194,15 +166,19 @@ def read_cameras(path: Path) -> list[Frame]:
     if not isinstance(entries, list) or not entries:
         raise UserError(f"{path}: expected a list 'frames' of photos, got none; is it complete?")
     common = _values(data, str(path))
-    _check_once(path, _file_paths(path, entries))  # before files are looked up
     frames = []
     for i, entry in enumerate(entries):
+        require(
+            isinstance(entry, dict) and isinstance(entry.get("file_path"), str),
+            f"{path}: frame {i}: expected an object with 'file_path', got none; add it",
+        )
         where = f"{path}: frame {i} ({entry['file_path'][:200]})"
         viewmat = _viewmat(entry.get("transform_matrix"), where)
         values = _merged(common, _values(entry, where))
         mask = _text(entry, "mask_path", where)
         file = None if mask is None else Path(mask)
         frames.append(Frame(entry["file_path"], path, viewmat, values, where, entry, file))
+    _check_once(path, [frame.name for frame in frames])  # before files are looked up
     return frames
 
 
@@ -247,21 +223,11 @@ def _text(entry: Mapping[str, Any], key: str, where: str) -> str | None:
     return value
 
 
-def _file_paths(path: Path, entries: list[Any]) -> list[str]:
-    for i, entry in enumerate(entries):
-        if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str):
-            raise UserError(
-                f"{path}: frame {i}: expected an object with 'file_path', got none; add it"
-            )
-    return [entry["file_path"] for entry in entries]
-
-
 def _check_once(path: Path, names: list[str]) -> None:
     name, times = Counter(names).most_common(1)[0]
     require(
         times == 1,
-        f"{path}: expected each photo once, got {name[:200]} more than once; remove the surplus"
-        " frames",
+        f"{path}: expected each photo once, got {name[:200]} more than once; remove the others",
     )
 
 
@@ -313,16 +279,22 @@ def _relative(folder: Path, file_path: str) -> tuple[str, Path]:
     return file.relative_to(folder).as_posix() if exists else file_path.removeprefix("./"), file
 
 
-def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
-    """[4, 4] OpenCV world-to-camera of an OpenGL camera-to-world, 3 x 4 or 4 x 4."""
+def _matrix(value: Any) -> NDArray[np.float64]:
+    """[4, 4] of a 3 x 4 or 4 x 4 matrix; an array of another shape for anything else."""
     try:
-        pose = np.array(matrix, dtype=np.float64)
+        matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        pose = np.zeros(0)
+        return np.zeros(0)
+    return np.vstack([matrix[:3], np.eye(4)[3]]) if matrix.shape in ((3, 4), (4, 4)) else matrix
+
+
+def _viewmat(value: Any, where: str) -> NDArray[np.float64]:
+    """[4, 4] OpenCV world-to-camera of an OpenGL camera-to-world, 3 x 4 or 4 x 4."""
+    pose = _matrix(value)
     require(
-        pose.shape in ((3, 4), (4, 4)),
+        pose.shape == (4, 4),
         f"{where}: expected a transform_matrix of 4x4 numbers, got"
-        f" {'none' if matrix is None else f'shape {pose.shape}'}; correct it",
+        f" {'none' if value is None else f'shape {pose.shape}'}; correct it",
     )
     viewmat = np.eye(4)
     viewmat[:3, :3] = (pose[:3, :3] * OPENGL_TO_OPENCV).T

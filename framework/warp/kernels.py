@@ -15,8 +15,6 @@ import numpy as np
 
 from framework.compute.jit import inlined, kernel
 
-Array = np.ndarray
-
 OUTSIDE = np.float32(-1e30)
 MIN_RATIO = 1e-3  # least target z / source z: nearer points magnify a pixel a thousandfold
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)

@@ -27,7 +27,6 @@ from torch import Tensor
 
 from framework.compute.parallel import BLOCKS, run_blocks
 from framework.compute.portable import inverse, product
-from framework.errors import require
 from framework.types import Camera, DepthMap, View
 from framework.warp import kernels as warp_kernels
 
@@ -101,14 +100,7 @@ class Warped:
 
 def prepare(views: Sequence[View], depth_maps: Sequence[DepthMap]) -> tuple[Support, ...]:
     """Make views ready for warping. Only pixels with depth > 0, confidence > 0 and inside the
-    view's mask enter.
-
-    Raises:
-        ValueError: when the numbers or sizes of views and maps differ.
-    """
-    if len(views) != len(depth_maps):
-        raise ValueError(f"prepare: expected a depth map per view, got {len(depth_maps)} maps for"
-                         f" {len(views)} views")  # fmt: skip
+    view's mask enter."""
     return tuple(_prepare(view, depth) for view, depth in zip(views, depth_maps, strict=True))
 
 
@@ -126,12 +118,7 @@ def warp(
         temperature: depth softness as a share of the nearest depth.
         min_weight: accumulated weight below which a pixel counts as a hole.
         erode: drop the outermost pixel of ragged borders (lone holes and the frame have none).
-
-    Raises:
-        UserError: on options out of range.
     """
-    require(0 < temperature <= 1, f"warp: temperature must be in (0, 1], got {temperature}")
-    require(min_weight > 0, f"warp: min_weight must be > 0, got {min_weight}")
     shape = (target.height, target.width)
     cells = (-(-target.height // BLOCKS) + 2) * (target.width + 2)
     z_min = np.full((BLOCKS, cells), np.inf, np.float32)
@@ -173,12 +160,7 @@ class _Points:
 
 
 def _prepare(view: View, depth_map: DepthMap) -> Support:
-    depth, size = depth_map.depth, (view.camera.height, view.camera.width)
-    if tuple(depth.shape) != size or tuple(depth_map.confidence.shape) != size:
-        raise ValueError(
-            f"prepare: view {view.name} is {size[0]}x{size[1]} (rows x columns), its depth map"
-            f" {tuple(depth.shape)}, confidence {tuple(depth_map.confidence.shape)}"
-        )
+    depth = depth_map.depth
     valid = torch.isfinite(depth) & (depth > 0) & (depth_map.confidence > 0)
     if view.mask is not None:
         valid &= view.mask > 0

@@ -194,7 +194,7 @@ def free_match(
     """
     import numpy as np
 
-    from framework.depth.matching.reference import zncc
+    from framework.depth.matching.sweep import zncc
 
     n, grey = 2 * REACH + 1, image.astype(np.float64)
     scores = np.stack(

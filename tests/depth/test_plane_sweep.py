@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from framework.compute.parallel import set_threads
 from framework.errors import UserError
 from framework.types import Camera, DepthMap, TrainingSet
 from tests.built import build_provider
@@ -29,17 +28,6 @@ def test_confident_pixels_are_within_one_and_three_percent(maps: tuple[DepthMap,
         assert confident.mean() > 0.7
         assert (error[confident] < 0.01).mean() > 0.97
         assert (error[confident] < 0.03).mean() > 0.99
-
-
-def test_thread_count_does_not_change_a_bit(maps: tuple[DepthMap, ...]) -> None:
-    try:
-        for threads in (1, 2, 3):
-            set_threads(threads)
-            for again, first in zip(sweep(plane_scene()), maps, strict=True):
-                assert torch.equal(again.depth, first.depth)
-                assert torch.equal(again.confidence, first.confidence)
-    finally:
-        set_threads(0)
 
 
 def test_depth_scales_with_the_scene(maps: tuple[DepthMap, ...]) -> None:
@@ -85,6 +73,3 @@ def test_views_without_any_overlap_are_refused() -> None:
     views = (plane_scene().views[0], view("far", replace(straight, viewmat=pose)))
     with pytest.raises(UserError, match=r"without any overlap .* check scene.near and scene.far"):
         sweep(TrainingSet("apart", views, no_points(2), 3.5, 7.5))
-    one_place = (views[0], replace(views[0], name="again"))
-    with pytest.raises(UserError, match=r"all cameras are at one place, .* take photos from"):
-        sweep(TrainingSet("one place", one_place, no_points(2), 3.5, 7.5))

@@ -77,12 +77,6 @@ def test_agrees_with_torch_in_float64() -> None:
         assert error < 1e-6 + 1e-5 * moved, name
 
 
-def test_bits_do_not_depend_on_threads() -> None:
-    one = trained(5003, 5, threads=1)
-    assert equal(one, trained(5003, 5, threads=2))
-    assert equal(one, trained(5003, 5, threads=3))
-
-
 def test_edit_keeps_old_moments_and_starts_new_ones_at_zero() -> None:
     params = gaussians(6, "test/params")
     adam = Adam(params)

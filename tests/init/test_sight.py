@@ -1,13 +1,9 @@
 """The kernels of `sight` against the same rules in torch, on random depth: the same bits."""
 
-from collections.abc import Iterator
-
 import numpy as np
-import pytest
 import torch
 from torch import Tensor
 
-from framework.compute.parallel import set_threads
 from framework.compute.rng import stream
 from framework.geometry import project, unproject
 from framework.initialize.fusion import Mapped, mapped
@@ -17,13 +13,6 @@ from tests.init.synthetic import three_views
 
 TOLERANCE, SAME = 0.1, 0.15
 STEPS = np.array([1.0, 1.2, 1.5])
-
-
-@pytest.fixture(params=[1, 3])
-def threads(request: pytest.FixtureRequest) -> Iterator[int]:
-    set_threads(request.param)
-    yield request.param
-    set_threads(0)
 
 
 def disturbed() -> Mapped:
@@ -55,7 +44,7 @@ def depth_of(maps: Mapped, v: int) -> Tensor:
     return torch.from_numpy(maps.seen.image(maps.seen.depth, v))
 
 
-def test_votes(threads: int) -> None:
+def test_votes() -> None:
     maps = disturbed()
     for v in range(3):
         places, chosen = unrepeated(maps.seen, v, TOLERANCE)
@@ -71,7 +60,7 @@ def test_votes(threads: int) -> None:
         assert 0 < chosen.sum() < (depth_of(maps, v) > 0).sum()
 
 
-def test_guesses(threads: int) -> None:
+def test_guesses() -> None:
     maps = disturbed()
     start = np.where(maps.seen.image(maps.seen.depth, 2) > 0, 0.0, 4.5)
     guesses = np.where(maps.seen.depth > 0, 0.0, 5.0)

@@ -18,7 +18,7 @@ from framework.run.lpips_later import with_lpips
 from tests.metrics.forged_weights import whole_archive
 from tests.metrics.test_lpips import features, state_dict
 from tests.metrics.test_metrics import image, similar, view_of
-from tests.record.fakes import fake_run
+from tests.record.fakes import fake_run, measured
 from tests.record.test_reuse import group, run, small_config
 
 
@@ -43,7 +43,7 @@ class Broken:
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_distance_that_is_not_finite_is_missing(value: float) -> None:
     truth = image("truth")
-    actual = metrics.evaluate_view(view_of(truth), similar(truth), network=Broken(value))  # type: ignore[arg-type]
+    actual = measured(view_of(truth), similar(truth), Broken(value))
     assert actual.lpips == Missing("LPIPS gave no finite value")
     assert metrics.mean_of([actual, actual], "lpips") == Missing("LPIPS gave no finite value")
 
@@ -56,8 +56,8 @@ def test_both_conventions_on_any_number_of_threads(network: lpips.Lpips) -> None
     for n in (1, 2, 3):
         torch.set_num_threads(n)
         parallel.set_threads(n)
-        (measured,), _ = metrics.evaluate(lambda _: render, [view], network, both=True)
-        actual.add((measured.lpips, measured.lpips_01))
+        (both,), _ = metrics.evaluate(lambda _: render, [view], network, both=True)
+        actual.add((both.lpips, both.lpips_01))
         assert torch.get_num_threads() == n
     torch.set_num_threads(before[0])
     parallel.set_threads(before[1])
@@ -69,8 +69,8 @@ def test_both_conventions_on_any_number_of_threads(network: lpips.Lpips) -> None
 
 def test_the_second_convention_is_measured_on_request(network: lpips.Lpips) -> None:
     truth = image("truth")
-    measured = metrics.evaluate_view(view_of(truth), similar(truth), network=network)
-    assert isinstance(measured.lpips, float) and measured.lpips_01 == NOT_REQUESTED
+    actual = measured(view_of(truth), similar(truth), network)
+    assert isinstance(actual.lpips, float) and actual.lpips_01 == NOT_REQUESTED
 
 
 def test_progress_of_lpips_is_reported(

@@ -71,22 +71,12 @@ class Call:
         return self.call
 
 
-FORGED = {
-    "a call": pickle.dumps(Call(Path.mkdir, Path("canary")), protocol=3),
-    "no pickle": b"no pickle",
-    "nothing": b"",
-    "cut": pickle.dumps({"a": 1})[:-3],
-}
-
-
-@pytest.mark.parametrize("name", FORGED)
-def test_forged_pickles_are_refused(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_forged_pickle_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UserError, match="file: expected a pickle of nothing but dicts") as caught:
-        read_tree(FORGED[name], "file")
-    assert "\n" not in str(caught.value) and not list(tmp_path.iterdir())
+    forged = pickle.dumps(Call(Path.mkdir, Path("canary")), protocol=3)
+    with pytest.raises(pickle.UnpicklingError, match="the object "):
+        read_tree(forged)
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_pip_could_not_fetch_is_told_in_one_line(

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from framework.metrics.coadaptation import effective_rank, with_rank
-from framework.metrics.evaluate import evaluate_view
 from framework.metrics.values import Missing
-from tests.record.fakes import make_view
+from tests.record.fakes import make_view, measured
 
 
 @pytest.mark.parametrize(
@@ -20,5 +19,5 @@ def test_of_needles_discs_and_balls(scales: tuple[float, ...], rank: float) -> N
 
 def test_without_a_gaussian_there_is_none() -> None:
     assert math.isnan(effective_rank(np.zeros((0, 3))))
-    (view,) = with_rank([evaluate_view(make_view(0), make_view(1).image, 0.01)], np.zeros((0, 3)))
+    (view,) = with_rank([measured(make_view(0), make_view(1).image)], np.zeros((0, 3)))
     assert isinstance(view.value("effective_rank"), Missing)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
-from framework.depth.matching.reference import zncc
+from framework.depth.matching.sweep import zncc
 from framework.errors import UserError
 from framework.geometry import project, unproject
 from framework.types import SparsePoints, TrainingSet

@@ -1,6 +1,7 @@
 """Small made-up runs, written by the product's own writer, for tests of records and reports."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,8 @@ import torch
 from torch import Tensor
 
 from framework.compute.rng import stream
-from framework.metrics.evaluate import evaluate_view
+from framework.metrics.evaluate import evaluate
+from framework.metrics.values import ViewMetrics
 from framework.records.provenance import provenance, strict_json
 from framework.records.record import RunRecord, SceneInfo, StageTime, write_run
 from framework.records.run_files import HistoryRow
@@ -28,6 +30,11 @@ def make_gaussians(n: int, degree: int) -> Gaussians:
     return Gaussians(
         tensor(n, 3), tensor(n, 4), tensor(n, 3), tensor(n), tensor(n, 1, 3), tensor(n, rest, 3)
     )
+
+
+def measured(view: View, image: Tensor, network: Any = None) -> ViewMetrics:
+    """The metrics of an image of a test view."""
+    return replace(evaluate(lambda _: image, [view], network)[0][0], render_s=0.01)
 
 
 def make_config(
@@ -110,7 +117,7 @@ def fake_run(
         provenance=provenance(),
         peak_memory_bytes=600_000_000,
     )
-    metrics = [evaluate_view(view, image, 0.01) for view, image in renders]
+    metrics = [measured(view, image) for view, image in renders]
     run_dir = study_dir / "runs" / (run_name or f"{scene}-{augment}-{reg}-s{seed}")
     gaussians, history = make_gaussians(12, 0), _history(shift, gain, tested)
     ours = float(stream(seed, strict_json(config)).standard_normal())

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from framework.errors import UserError
-from framework.files.ply import read_vertices
+from framework.files.ply import read_commented
 from framework.records.ply import read_ply, write_ply
 from tests.record.fakes import make_gaussians
 
@@ -43,7 +43,7 @@ def test_the_layout_is_the_reference_s(tmp_path: Path) -> None:
     write_ply(tmp_path / "a.ply", gaussians, torch.tensor([0.0, 0.5, 1.0]))
     head = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")[0].decode()
     assert "comment background 0.0 0.5 1.0" in head and head.count("element ") == 1
-    vertex = read_vertices(tmp_path / "a.ply")
+    vertex, _ = read_commented(tmp_path / "a.ply")
     names = list(vertex.dtype.names or ())
     assert names[:9] == ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     assert names[9:33] == [f"f_rest_{i}" for i in range(24)]
@@ -87,7 +87,7 @@ def test_damaged_bands_end_in_one_line(tmp_path: Path, bands, message: str | Non
     [
         (lambda b: b[:-3], "the file is damaged"),
         (lambda b: b.replace(b"vertex 4", b"vertex 999999999999"), "the file is damaged"),
-        (lambda b: b.replace(b"binary_little_endian", b"ascii"), "the file is damaged"),
+        (lambda b: b.replace(b"binary_little_endian", b"ascii"), "got a damaged one"),
         (lambda b: b.replace(b"property float opacity", b"property float opaqueness"), "opacity"),
         (lambda b: b.replace(b"float opacity", b"double opacity"), "the file is damaged"),
         (lambda b: b.replace(b"property float f_rest_8\n", b""), "got 8"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from framework.errors import UserError
-from framework.files.ply import read_vertices
+from framework.files.ply import read_commented
 from tests.scenes.synthetic import write_table
 
 KINDS = [("x", "f4"), ("y", "f8"), ("red", "u1"), ("n", "i4")]
@@ -17,7 +17,7 @@ ROWS = np.array([(0.5, -1e10, 255, -7), (1 / 3, 2.0, 0, 9)], dtype=KINDS)
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_round_trips(tmp_path: Path, text: bool, order: str, count: int) -> None:
     write_table(tmp_path / "a.ply", ROWS[:count], text, order)
-    read = read_vertices(tmp_path / "a.ply")
+    read, _ = read_commented(tmp_path / "a.ply")
     assert read.dtype.names == ROWS.dtype.names
     for name in read.dtype.names or ():
         np.testing.assert_array_equal(read[name], ROWS[:count][name])
@@ -49,4 +49,4 @@ X, END = "property float x", "end_header"
 def test_what_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "a.ply").write_bytes(content)
     with pytest.raises(UserError, match=message):
-        read_vertices(tmp_path / "a.ply")
+        read_commented(tmp_path / "a.ply")

@@ -12,13 +12,12 @@ import torch
 from framework.errors import UserError
 from framework.files import whole as files
 from framework.files.whole import following, write_whole
-from framework.metrics.evaluate import evaluate_view
 from framework.metrics.values import Missing
 from framework.records import provenance, record
 from framework.records.ply import read_ply
 from framework.records.record import find_complete, read_record, read_run, write_run
 from framework.records.run_files import file_stems
-from tests.record.fakes import fake_run, make_config, make_gaussians, make_view
+from tests.record.fakes import fake_run, make_config, make_gaussians, make_view, measured
 
 
 @pytest.fixture()
@@ -52,18 +51,11 @@ def test_a_run_reads_back(run_dir: Path) -> None:
 def test_json_is_strict_and_nan_is_explained(tmp_path: Path) -> None:
     run_dir = fake_run(tmp_path)
     view = make_view(0)
-    perfect = evaluate_view(view, view.image)
+    perfect = measured(view, view.image)
     old = read_record(run_dir / "record.json")
     config = {**old.config, "stop": float("nan")}
-    write_run(
-        run_dir,
-        replace(old, config=config),
-        [perfect],
-        [],
-        make_gaussians(2, 0),
-        torch.zeros(3),
-        [(view, view.image)],
-    )
+    rest = make_gaussians(2, 0), torch.zeros(3), [(view, view.image)]
+    write_run(run_dir, replace(old, config=config), [perfect], [], *rest)
 
     def refuse(constant: str) -> None:
         raise AssertionError(constant)
@@ -73,11 +65,8 @@ def test_json_is_strict_and_nan_is_explained(tmp_path: Path) -> None:
     assert content["summary"]["psnr"]["missing"] == "infinite: render equals truth"
     assert content["config"]["stop"] is None
     assert np.isnan(read_run(run_dir).metrics.numbers["psnr"]).all()
-    assert sorted(p.name for p in (run_dir / "renders").iterdir()) == [
-        "test_00.png",
-        "test_00_error.png",
-        "test_00_truth.png",
-    ]
+    pictures = sorted(p.stem for p in (run_dir / "renders").iterdir())
+    assert pictures == ["test_00", "test_00_error", "test_00_truth"]
 
 
 def test_an_interrupted_rewrite_is_not_complete(
@@ -87,20 +76,14 @@ def test_an_interrupted_rewrite_is_not_complete(
     assert find_complete(run_dir, old.identity) == old
     view = make_view(0)
 
+    rest = make_gaussians(2, 0), torch.zeros(3), [(view, view.image)]
+
     def killed(*_: object) -> str:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(record, "history_csv", killed)
     with pytest.raises(KeyboardInterrupt):
-        write_run(
-            run_dir,
-            old,
-            [evaluate_view(view, view.image)],
-            [],
-            make_gaussians(2, 0),
-            torch.zeros(3),
-            [(view, view.image)],
-        )
+        write_run(run_dir, old, [measured(view, view.image)], [], *rest)
     assert find_complete(run_dir, old.identity) is None
     assert not [p for p in run_dir.rglob("*") if p.name.endswith(".tmp")]
 
@@ -177,12 +160,12 @@ def test_a_run_whose_files_go_while_it_is_written_is_not_complete(
     with following(run_dir) as before:
         write_whole(run_dir / "photos" / "train.jpg", b"a photo")
     monkeypatch.setattr(record, "history_csv", meanwhile)
-    shown, measured = [(view, view.image)], [evaluate_view(view, view.image)]
+    shown, metrics = [(view, view.image)], [measured(view, view.image)]
     rest = make_gaussians(2, 0), torch.zeros(3), shown, before
-    write_run(run_dir, old, measured, [], *rest)
+    write_run(run_dir, old, metrics, [], *rest)
     assert find_complete(run_dir, old.identity) is None
     monkeypatch.undo()
-    write_run(run_dir, old, measured, [], *rest[:3])
+    write_run(run_dir, old, metrics, [], *rest[:3])
     assert find_complete(run_dir, old.identity) is not None
 
 

@@ -41,7 +41,7 @@ def _scaled(factor: float) -> Callable[[list[str]], None]:
 @pytest.mark.parametrize("factor", [0.0, 5.0, 0.9, float("nan")])
 def test_a_quaternion_is_a_rotation(tmp_path: Path, factor: float) -> None:
     message = _refusal("colmap", _images(tmp_path, _scaled(factor)))
-    assert "images.txt: image 'im01.png': expected a rotation, a quaternion of length 1" in message
+    assert "image im01.png: expected a rotation, a quaternion of length 1" in message
 
 
 @pytest.mark.parametrize("factor", [0.995, 1.005, -1.0])

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from framework.compute.parallel import set_threads
 from framework.scenes.embedded import generate
 from framework.types import Scene, View
 from tests.built import load_scene
@@ -42,17 +41,6 @@ def test_default_bits_are_pinned(scene: Scene) -> None:
     assert digest.hexdigest() == IMAGES_SHA256
 
 
-def lift(view: View) -> torch.Tensor:
-    """[H, W, 3] world points at the pixel centres."""
-    assert view.depth is not None
-    camera, z = view.camera, view.depth.double()
-    v, u = torch.meshgrid(
-        torch.arange(camera.height) + 0.5, torch.arange(camera.width) + 0.5, indexing="ij"
-    )
-    rays = torch.stack([u, v, torch.ones_like(u)], dim=-1).double() @ torch.linalg.inv(camera.K).T
-    return (rays * z[..., None] - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3]
-
-
 def seen_by(view: View, xyz: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Which points the view sees (its depth agrees within 1 %) and the pixel indices."""
     assert view.depth is not None
@@ -65,15 +53,6 @@ def seen_by(view: View, xyz: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return inside & ((view.depth.flatten()[index] - z).abs() < 0.01 * z), index
 
 
-def test_depth_poses_and_images_agree(scene: Scene) -> None:
-    """A pixel lifted by its depth has the same colour where another camera sees it."""
-    first, second = scene.training.views[0], scene.training.views[2]
-    seen, index = seen_by(second, lift(first))
-    difference = (second.image.flatten(1)[:, index] - first.image).abs().mean(0)[seen]
-    assert 0.7 < float(seen.float().mean()) < 0.9  # overlap of the outermost cameras
-    assert float(difference.median()) < 0.03
-
-
 def test_points_are_exact_and_supported(scene: Scene) -> None:
     points = scene.training.points
     assert len(points.xyz) > 1000
@@ -81,18 +60,6 @@ def test_points_are_exact_and_supported(scene: Scene) -> None:
     for k, view in enumerate(scene.training.views):
         seen, _ = seen_by(view, points.xyz)
         assert torch.equal(seen, points.visible[:, k])
-
-
-def test_same_bits_on_any_thread_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    prints = set()
-    try:
-        for n in (1, 2, 3):
-            monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / str(n)))
-            set_threads(n)
-            prints.add(load_scene("embedded", SMALL).fingerprint)
-    finally:
-        set_threads(0)
-    assert len(prints) == 1
 
 
 def test_cache_is_used_and_a_damaged_one_replaced(

@@ -18,10 +18,9 @@ from framework.errors import UserError
 from framework.files.whole import file_sha256
 from framework.scenes.photos import learned, networks
 from framework.scenes.photos.attempt import _enter
-from framework.scenes.photos.options import LEARNED_STEP, STEPS, steps
+from framework.scenes.photos.options import LEARNED_STEP
 from framework.scenes.photos.prepare import Photo, prepare
 from framework.scenes.photos.process import Messages
-from framework.scenes.photos.source import find_source
 from tests.scenes.pictures import write_photos
 from tests.scenes.unplaced import load
 
@@ -81,13 +80,6 @@ def test_another_file_and_missing_weights_are_refused(cache: Path, tmp_path: Pat
         load(photos, matching="learned")
     with pytest.raises(UserError, match="matching to be one of sift, learned, got 'orb'"):
         load(photos, matching="orb")
-
-
-def test_networks_come_first_and_their_poses_are_kept_apart(tmp_path: Path) -> None:
-    photos = str(write_photos(tmp_path / "photos"))
-    assert steps("sift") == STEPS and steps("learned") == (LEARNED_STEP, *STEPS)
-    keys = {find_source(photos, 1200, 40, matching).key for matching in ("sift", "learned")}
-    assert len(keys) == 2
 
 
 def test_features_and_matches_are_the_same_on_any_threads(

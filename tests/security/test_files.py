@@ -20,7 +20,7 @@ from framework.errors import UserError
 from framework.files import limits
 from framework.files.archives import open_zip
 from framework.files.arrays import read_npy, read_npz
-from framework.files.ply import read_vertices
+from framework.files.ply import read_commented
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply
 from framework.records.record import read_run
@@ -80,7 +80,7 @@ def test_pickles_in_arrays_and_weights_are_refused(tmp_path: Path) -> None:
     (tmp_path / "raw.pth").write_bytes(pickle.dumps(Mkdir(canary)))
     torch.save({"net": Mkdir(canary)}, tmp_path / "zip.pth")
     for name in ("raw.pth", "zip.pth"):
-        with pytest.raises(UserError, match="not a readable state dict"):
+        with pytest.raises(UserError, match="got a damaged one"):
             load_lpips(tmp_path / name)
     assert not canary.exists()
 
@@ -154,7 +154,7 @@ def test_weights_that_are_views_of_little_data(tmp_path: Path) -> None:
 def test_ply_counts_are_compared_with_the_file(tmp_path: Path, count: str) -> None:
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
     (tmp_path / "a.ply").write_text(f"{head}property float x\nend_header\n")
-    for read in (read_ply, read_vertices):
+    for read in (read_ply, read_commented):
         with pytest.raises(UserError, match=r"a\.ply: expected"):
             read(tmp_path / "a.ply")
 
@@ -213,7 +213,7 @@ def test_the_report_opens_no_file_outside_its_run(tmp_path: Path, stem: str) -> 
     text = table.read_text().replace("test_00", stem)
     assert text != table.read_text()
     table.write_text(text)
-    with pytest.raises(UserError, match=r"expected metrics\.csv .* got damaged ones"):
+    with pytest.raises(UserError, match=r"expected metrics\.csv .* got a damaged one"):
         read_run(run_dir)
 
 

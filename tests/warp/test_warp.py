@@ -1,22 +1,12 @@
 """Warping: proofs on the ray-traced stage with exact depth (see `stage.py`)."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import torch
 
-from framework.compute import parallel
-from framework.errors import UserError
 from framework.types import Camera, DepthMap, View
 from framework.warp.zbuffer import Warped, prepare, warp
 from tests.warp.stage import HALF, SQUARE, camera, exact, photograph
-
-
-@pytest.fixture(autouse=True)
-def _restore_threads() -> Iterator[None]:
-    yield
-    parallel.set_threads(0)
 
 
 def stage_views(unit: float = 1.0) -> list[View]:
@@ -93,19 +83,6 @@ def test_what_no_support_saw_is_masked_out() -> None:
     assert not (warped.mask[40:80, hidden_from : hidden_from + 8] > 0).any()
 
 
-def test_threads_do_not_change_a_bit() -> None:
-    views, target = stage_views(), camera(0.2, 0.0, 0.2, yaw=0.03)
-    results = []
-    for n in (1, 2, 3):
-        parallel.set_threads(n)
-        results.append(warp_exact(views, target))
-    for other in results[1:]:
-        assert torch.equal(results[0].image, other.image)
-        assert torch.equal(results[0].mask, other.mask)
-        assert torch.equal(results[0].depth, other.depth)
-        assert torch.equal(results[0].weight, other.weight)
-
-
 def test_only_trusted_depth_enters() -> None:
     view = stage_views()[0]
     trusted = exact(view)
@@ -122,14 +99,3 @@ def test_only_trusted_depth_enters() -> None:
 def test_a_camera_that_looks_away_sees_nothing() -> None:
     warped = warp_exact(stage_views(), camera(yaw=np.pi))
     assert warped.coverage == 0.0 and not warped.image.any()
-
-
-def test_bad_input_is_refused() -> None:
-    view = stage_views()[0]
-    with pytest.raises(ValueError, match="a depth map per view"):
-        prepare([view], [])
-    small = DepthMap(torch.ones(4, 4), torch.ones(4, 4))
-    with pytest.raises(ValueError, match="stage is 120x160"):
-        prepare([view], [small])
-    with pytest.raises(UserError, match="temperature"):
-        warp_exact([view], view.camera, temperature=0.0)

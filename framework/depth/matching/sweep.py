@@ -8,7 +8,6 @@ depth, so that its numbers do not depend on the unit of length.
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
@@ -19,11 +18,11 @@ from framework.depth.matching.match import COST_ONE, VARIANCE_FLOOR, match_costs
 from framework.depth.matching.neighbours import choose_neighbours, depth_bounds, grid_points
 from framework.depth.options import PlaneSweepOptions
 from framework.depth.transfer import inside, pixel_transfer, project
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.types import DepthMap, TrainingSet, View
 
+Array = NDArray[np.float64]
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
-ONE_PLACE = 0.01  # of the near bound; closer cameras see no parallax
 MIN_ZNCC = 0.05  # floor of the score in a confidence, so that a consistent pixel never gets zero
 
 
@@ -45,6 +44,20 @@ def window_statistics(
     variance = np.maximum(square - mean**2, 0.0)
     inverse = 1.0 / np.sqrt(variance + VARIANCE_FLOOR)
     return mean.astype(np.float32), inverse.astype(np.float32)
+
+
+def zncc(a: Array, b: Array, radius: int) -> Array:
+    """[H, W] zero-mean normalised cross-correlation of the windows of two images, borders repeated,
+    with `VARIANCE_FLOOR` added to both variances."""
+
+    def mean(values: Array) -> Array:
+        result: Array = uniform_filter(values, 2 * radius + 1, mode="nearest")
+        return result
+
+    mean_a, mean_b = mean(a), mean(b)
+    variance_a = np.maximum(mean(a * a) - mean_a**2, 0) + VARIANCE_FLOOR
+    variance_b = np.maximum(mean(b * b) - mean_b**2, 0) + VARIANCE_FLOOR
+    return (mean(a * b) - mean_a * mean_b) / np.sqrt(variance_a * variance_b)
 
 
 def cost_volume(
@@ -152,47 +165,6 @@ def confidence(
     return (np.clip(zncc, MIN_ZNCC, 1.0) * share).astype(np.float32)
 
 
-def _check_input(training: TrainingSet, options: PlaneSweepOptions) -> None:
-    require(
-        len(training.views) >= 2,
-        f"depth=plane_sweep: expected two or more overlapping training views, got"
-        f" {len(training.views)} in scene '{training.scene}'; use more views, depth=file or"
-        " depth=ground_truth",
-    )
-    size = 2 * options.radius + 1
-    for view in training.views:
-        require(
-            min(view.camera.width, view.camera.height) >= size,
-            f"depth=plane_sweep: expected images of at least {size}x{size} pixels (the window), got"
-            f" {view.camera.width}x{view.camera.height} for '{view.name}'; lower depth.radius",
-        )
-
-
-def _partners(
-    training: TrainingSet, bounds: Sequence[tuple[float, float]], limit: int
-) -> list[list[int]]:
-    """The sources of every view; UserError if no view has any."""
-    chosen = [choose_neighbours(training, i, limit, bounds[i]) for i in range(len(bounds))]
-    if not any(chosen):
-        raise UserError(
-            f"depth=plane_sweep: expected training views that overlap, got {len(chosen)} views of"
-            f" scene '{training.scene}' without any overlap between depths {training.near:g} and"
-            f" {training.far:g}; {_advice(training)}, or set depth=file or depth=ground_truth"
-        )
-    return chosen
-
-
-def _advice(training: TrainingSet) -> str:
-    """What to do about views without overlap: photos from one place show no depth."""
-    centers = torch.stack([view.camera.center for view in training.views])
-    if float((centers - centers[0]).norm(dim=1).max()) < ONE_PLACE * training.near:
-        return (
-            "all cameras are at one place, so the photos show no depth: take photos from different"
-            " places, a step to the side between one and the next"
-        )
-    return "check scene.near and scene.far, use closer views"
-
-
 def checked(
     training: TrainingSet, options: PlaneSweepOptions, limit: int
 ) -> list[tuple[tuple[float, float], list[int]]]:
@@ -201,9 +173,27 @@ def checked(
     Raises:
         UserError: for views that are too few, too small, or do not overlap.
     """
-    _check_input(training, options)
-    bounds = [depth_bounds(training, i) for i in range(len(training.views))]
-    return list(zip(bounds, _partners(training, bounds, limit), strict=True))
+    where, n, size = "depth=plane_sweep: expected", len(training.views), 2 * options.radius + 1
+    require(
+        n >= 2,
+        f"{where} two or more overlapping training views, got {n} in scene '{training.scene}'; use"
+        " more views, depth=file or depth=ground_truth",
+    )
+    least = min(min(view.camera.width, view.camera.height) for view in training.views)
+    require(
+        least >= size,
+        f"{where} images of at least {size}x{size} pixels (the window), got one of {least} pixels"
+        " on a side; lower depth.radius",
+    )
+    bounds = [depth_bounds(training, i) for i in range(n)]
+    partners = [choose_neighbours(training, i, limit, bounds[i]) for i in range(n)]
+    require(
+        any(partners),
+        f"{where} training views that overlap, got {n} views of scene '{training.scene}' without"
+        f" any overlap between depths {training.near:g} and {training.far:g}; check scene.near and"
+        " scene.far, use closer views from different places, or set depth=file",
+    )
+    return list(zip(bounds, partners, strict=True))
 
 
 def sweep_views(training: TrainingSet, options: PlaneSweepOptions) -> tuple[DepthMap, ...]:

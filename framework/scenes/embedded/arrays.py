@@ -24,22 +24,20 @@ MIRROR = 22
 GLOW = 23
 TEXTURE = 24  # offset in `World.texels`, height, width; offset -1 = plain
 MEAN = 27  # r g b, linear mean of the texture
-COLUMNS = 30
 
 # columns of `World.lights`
 TOWARDS = 0  # unit vector to the light
 ACROSS = 3  # two axes across its rays
 GRID = 9  # origin along both axes, size of a cell
-LIGHT_COLUMNS = 12
 
 
 class World(NamedTuple):
     """P solids and L light directions over G x G light cells.
 
     Attributes:
-        solids: [P, COLUMNS] float64.
+        solids: [P, 30] float64.
         texels: [*] uint8, all textures one after another, row-major RGB.
-        lights: [L, LIGHT_COLUMNS] float64.
+        lights: [L, 12] float64.
         casters: [L, G, G, P + 1] int16, the solids that may shade what lies in a cell, ended by -1.
     """
 

@@ -7,25 +7,28 @@ contains the textures), so a changed scene has another file. A damaged file is g
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import io
 import logging
 import zipfile
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from framework.errors import check_option
 from framework.files.cache import cache_dir
 from framework.files.whole import write_whole
 from framework.scenes.assemble import Shot, Tracks, assemble, intrinsics
 from framework.scenes.embedded import rig
 from framework.scenes.embedded.vectors import Vector
+from framework.scenes.layout import check_n_views
 
 if TYPE_CHECKING:
-    from framework.scenes.embedded.options import EmbeddedOptions
     from framework.types import Scene
 
 log = logging.getLogger(__name__)
@@ -41,11 +44,11 @@ class Pictures(NamedTuple):
         return hashlib.sha256(self.images.tobytes() + self.depths.tobytes()).hexdigest()
 
 
-def _positions(options: EmbeddedOptions) -> tuple[list[Vector], list[Vector]]:
+def _positions(options: Embedded) -> tuple[list[Vector], list[Vector]]:
     return rig.training_positions(options.n_views), list(rig.TEST_POSITIONS)
 
 
-def _render(options: EmbeddedOptions) -> Pictures:
+def _render(options: Embedded) -> Pictures:
     """All views, training first."""
     from framework.compute.parallel import run_blocks
     from framework.scenes.embedded.build import build_world, camera_tiles
@@ -66,7 +69,7 @@ def _render(options: EmbeddedOptions) -> Pictures:
     return Pictures(images, depths)
 
 
-def _cache_file(options: EmbeddedOptions) -> Path:
+def _cache_file(options: Embedded) -> Path:
     # noise changes the poses that training gets, but not the photos
     exact = dataclasses.replace(options, pose_noise=0.0)
     key = hashlib.sha256(repr(sorted(dataclasses.asdict(exact).items())).encode())
@@ -92,7 +95,7 @@ def _read(path: Path) -> Pictures | None:
     return None
 
 
-def _pictures(options: EmbeddedOptions) -> Pictures:
+def _pictures(options: Embedded) -> Pictures:
     path = _cache_file(options)
     cached = _read(path)
     if cached is not None:
@@ -115,24 +118,54 @@ def _world_to_camera(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     return viewmat
 
 
-def load(options: EmbeddedOptions) -> Scene:
-    """Load the scene with the split `rig`."""
-    from framework.scenes.embedded.points import sparse_points
+@dataclass(frozen=True)
+class Embedded:
+    """A ray-traced room in the repository itself, with exact depth.
 
-    pictures = _pictures(options)
-    train, test = _positions(options)
-    focal, n = rig.FOCAL_WIDTHS * options.width, len(train)
-    K = intrinsics(focal, focal, 0.5 * options.width, 0.5 * options.height)
-    poses = np.stack([rig.pose(p, options.spread) for p in train + test])
-    names = [f"train{k:02d}" for k in range(n)] + [f"test{k:02d}" for k in range(len(test))]
-    noisy = list(poses)
-    if options.pose_noise > 0:
-        noisy[:n] = rig.perturbed(poses[:n], options.pose_noise / focal)
-    shots = [
-        Shot(name, _world_to_camera(pose), K, image, depth)
-        for name, pose, image, depth in zip(names, noisy, *pictures, strict=True)
-    ]
-    points = Tracks(*sparse_points(pictures.images[:n], pictures.depths[:n], poses[:n], focal))
-    depths = pictures.depths[:n]
-    near, far = 0.9 * float(depths.min()), 1.1 * float(depths.max())
-    return assemble("embedded", "rig", shots[:n], shots[n:], points, near, far)
+    The training cameras form a zigzag (protocol `rig`). The eight test cameras are always the same.
+    """
+
+    poses_are_exact: ClassVar[bool] = True
+
+    n_views: int = 3  # training views
+    width: int = 320  # pixels
+    height: int = 240  # pixels
+    supersampling: int = 3  # rays per pixel along each axis
+    spread: float = 0.35  # metres from the middle of the rig to its outer cameras
+    texture: float = 1.0  # factor of all texture contrasts; 0 = textureless
+    gloss: float = 1.0  # factor of all highlights and mirrors; 0 = matte
+    pose_noise: float = 0.0  # pixels by which the training cameras' poses are wrong
+
+    def __post_init__(self) -> None:
+        check = functools.partial(check_option, self, "scene")
+        check_n_views("embedded", self.n_views)
+        check("n_views", self.n_views <= 64, "at most 64")
+        check("width", 32 <= self.width <= 2048, "32 to 2048 pixels")
+        check("height", 32 <= self.height <= 2048, "32 to 2048 pixels")
+        check("supersampling", 1 <= self.supersampling <= 6, "1 to 6")
+        check("spread", 0 < self.spread <= 1, "a number in (0, 1], metres")
+        check("texture", 0 <= self.texture <= 2, "a number in [0, 2]")
+        check("gloss", 0 <= self.gloss <= 1.3, "a number in [0, 1.3]")
+        check("pose_noise", 0 <= self.pose_noise <= 20, "0 to 20 pixels")
+
+    def load(self) -> Scene:
+        """Load the scene from the cache, or generate it (a few seconds)."""
+        from framework.scenes.embedded.points import sparse_points
+
+        pictures = _pictures(self)
+        train, test = _positions(self)
+        focal, n = rig.FOCAL_WIDTHS * self.width, len(train)
+        K = intrinsics(focal, focal, 0.5 * self.width, 0.5 * self.height)
+        poses = np.stack([rig.pose(p, self.spread) for p in train + test])
+        names = [f"train{k:02d}" for k in range(n)] + [f"test{k:02d}" for k in range(len(test))]
+        noisy = list(poses)
+        if self.pose_noise > 0:
+            noisy[:n] = rig.perturbed(poses[:n], self.pose_noise / focal)
+        shots = [
+            Shot(name, _world_to_camera(pose), K, image, depth)
+            for name, pose, image, depth in zip(names, noisy, *pictures, strict=True)
+        ]
+        points = Tracks(*sparse_points(pictures.images[:n], pictures.depths[:n], poses[:n], focal))
+        depths = pictures.depths[:n]
+        near, far = 0.9 * float(depths.min()), 1.1 * float(depths.max())
+        return assemble("embedded", "rig", shots[:n], shots[n:], points, near, far)

@@ -7,16 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 NAMES = (
-    "astronaut",
-    "brick",
-    "chelsea",
-    "coffee",
-    "coins",
-    "grass",
-    "gravel",
-    "moon",
-    "page",
-    "immunohistochemistry",
+    *("astronaut", "brick", "chelsea", "coffee", "coins"),
+    *("grass", "gravel", "moon", "page", "immunohistochemistry"),
 )
 TURNED = ("brick",)  # its courses run upright in the photograph
 

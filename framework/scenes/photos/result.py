@@ -5,9 +5,9 @@ import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from framework.errors import UserError
 from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
+from framework.files.opened import reading
 from framework.files.whole import write_whole
 
 FILE = "poses.json"
@@ -105,7 +105,8 @@ def read_result(folder: Path) -> Result:
         UserError: for a damaged one.
     """
     path = folder / FILE
-    try:
+    expected = "the kept result of a search for poses"
+    with reading(path, expected, f"remove the folder {folder.name}"):
         values = read_json(path, TEXT_BYTES)
         values["links"] = [Link(**link) for link in values["links"]]
         values["tries"] = [Try(**attempt) for attempt in values["tries"]]
@@ -114,9 +115,4 @@ def read_result(folder: Path) -> Result:
         result = Result(**values)
         if not result.placed or any("/" in name for name in result.placed):
             raise ValueError("no file names of placed photos")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(
-            f"{path}: expected the kept result of a search for poses, got a damaged one"
-            f" ({type(error).__name__}); remove the folder {folder.name}"
-        ) from error
     return result

@@ -64,8 +64,7 @@ def find_source(path: str, side: int, frames: int, matching: str = SIFT) -> Sour
         return _video(place, side, frames, matching)
     require(
         place.is_dir(),
-        f"scene=photos: expected a folder of photos or a video at '{path}', found nothing; correct"
-        " scene.path",
+        f"scene=photos: expected photos or a video at '{path}', found nothing; correct it",
     )
     folder = place
     if not _photos(place) and (place / "images").is_dir():
@@ -100,8 +99,7 @@ def _twins(files: Sequence[Path]) -> dict[str, str]:
 def _video(file: Path, side: int, frames: int, matching: str) -> Source:
     require(
         file.suffix.lower() in VIDEO,
-        f"{file}: expected a folder of photos or a video ({', '.join(sorted(VIDEO))}), got another"
-        " file; correct scene.path",
+        f"{file}: expected photos or a video ({', '.join(sorted(VIDEO))}), got another file",
     )
     key = _key(matching, [side, frames, _sha256(file, VIDEO_BYTES)])
     return Source(file.resolve().stem, file.parent, (file,), True, key, side, frames, matching)
@@ -133,16 +131,13 @@ def _instead(folder: Path) -> str:
     others = unread_files(folder)
     if others:
         return f"{len(others)} pictures in other formats ({listed(others)}); convert them to JPEG"
-    folders = [name for name in names if not name.startswith(".") and (folder / name).is_dir()]
-    got = f"only folders ({', '.join(folders[:5])})" if folders else "none"
-    return f"{got}; put photos there or correct scene.path"
+    return f"none ({listed(names) or 'empty'}); put photos there or correct scene.path"
 
 
 def _check_count(place: Path, n_files: int, n_distinct: int) -> None:
     require(
         n_distinct > 1 or n_files == 1,
-        f"{place}: expected photos from different places, got the same photo {n_files} times; take"
-        " some from other places",
+        f"{place}: expected different photos, got the same photo {n_files} times; take others",
     )
     require(
         n_distinct >= FEWEST,
