@@ -175,7 +175,10 @@ def spz(gaussians: Gaussians, fraction: int) -> bytes:
 
 def _splat(gaussians: Gaussians, background: Tensor) -> bytes:
     if gaussians.shN.numel() and bool(gaussians.shN.any()):
-        LOG.warning("splat: holds no SH bands, so colours no longer change with the direction")
+        LOG.warning(
+            "splat: holds no SH bands, so colours no longer change with the direction; use another"
+            " format to keep them"
+        )
     scales, opacities = gaussians.scales.numpy(), gaussians.opacities.numpy()
     order = np.argsort(-scales.prod(axis=1) * opacities, kind="stable")
     quats = gaussians.quats.numpy()

@@ -47,7 +47,8 @@ def check_kind(path: Path, fps: int) -> None:
     )
     require(
         kind != ".mp4" or has_h264(),
-        f"{path}: expected PyAV, which writes MP4, found none; pip install av, or choose .webm",
+        f"{path}: expected PyAV, which writes MP4 (H.264), found none; pip install av, or name the"
+        " video .webm",
     )
     require(
         kind != ".gif" or fps <= GIF_FPS,
@@ -95,7 +96,8 @@ def _webm(pictures: Pictures, fps: int) -> bytes:
             writer = cv2.VideoWriter(str(file), cv2.CAP_FFMPEG, code, float(fps), (width, height))
         if not writer.isOpened():
             raise UserError(
-                "video: expected an OpenCV that writes VP9, got one that does not; choose .webp"
+                "video: expected an OpenCV that writes VP9, got one that does not; name the video"
+                " .webp"
             )
         for picture in pictures:
             writer.write(picture[..., ::-1].copy())

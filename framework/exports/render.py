@@ -42,7 +42,8 @@ def main(arguments: list[str], prog: str) -> int:
     folder = options.out or options.run / PICTURES
     require(
         not (folder.parent / RECORD).exists() or folder.name not in (RENDERS, PHOTOS),
-        f"--out: expected a folder for new pictures, got {folder}, a run's own; choose another",
+        f"--out: expected a folder for new pictures, got {folder}, which holds those of a run;"
+        " choose another",
     )
     stems = file_stems([_bare(one.name) for one in named])
     _check_no_pictures_of_others([folder / f"{stem}.png" for stem in stems])

@@ -31,5 +31,6 @@ def usable(path: Path) -> Iterator[None]:
         if error.errno in FULL:
             raise
         raise UserError(
-            f"{path}: cannot write the cache ({error.strerror}); set FISHERSPLAT_CACHE to another"
+            f"{path}: cannot write the cache folder ({error.strerror}); set FISHERSPLAT_CACHE to a"
+            " folder that you may write"
         ) from error

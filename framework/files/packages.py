@@ -42,7 +42,8 @@ class PackageFile:
         """Raise UserError unless `file` is this one."""
         require(
             file.is_file(),
-            f"{self.what}: expected the file {self.name}, got '{file}', which is no file; fix it",
+            f"{self.what}: expected the file {self.name}, got '{file}', which is no file; check the"
+            " path",
         )
         file_size(file, self.bytes)
         digest = file_sha256(file)

@@ -73,7 +73,8 @@ def _text_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
             rows = np.loadtxt(lines, header.dtype, comments=None, ndmin=1)
     require(
         len(rows) == header.count,
-        f"{path}: expected {header.count:,} vertices, got {len(rows):,}; write it again",
+        f"{path}: expected {header.count:,} vertices, got {len(rows):,}; the file is damaged, write"
+        " it again",
     )
     return rows
 

@@ -214,7 +214,8 @@ def _fitting(weights: dict[str, Tensor], backbone: Backbone, path: str | Path) -
         require(
             value.shape == shape and bool(value.sum().isfinite()),
             f"metrics.lpips_weights: expected the finite weights of one network in '{path}', but"
-            f" '{key}' should have the shape {shape} and has {tuple(value.shape)}; save all of it",
+            f" '{key}' should have the shape {shape} and has {tuple(value.shape)}; save the whole"
+            " model's state_dict()",
         )
     return {key: weights[key] for key in shapes}
 

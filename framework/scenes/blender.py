@@ -127,5 +127,6 @@ def _warn_of_depths(
     if depths.min() > 0 and not near <= depth <= far:
         log.warning(
             f"{where}: the cameras look at a point at depth {depth:.3g}, outside"
-            f" scene.near={near:g} and scene.far={far:g}; set these to the depths around it"
+            f" scene.near={near:g} and scene.far={far:g}; set these to the depths between which the"
+            " object lies"
         )

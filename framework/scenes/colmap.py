@@ -75,14 +75,16 @@ def list_colmap(
     """
     require(
         photos.is_dir(),
-        f"{photos}: expected a folder of the model's photos, got none; correct scene.images",
+        f"{photos}: expected a folder of the model's photos, got no such folder; correct"
+        " scene.images",
     )
     where = f"scene={loader or options.layout}: {folder}"
     chosen = choose_model(folder, options.model, lambda m: len(match_photos(photos, m.names)))
     if chosen is None:
         raise UserError(
             f"{folder}: expected a COLMAP model in sparse/0 or sparse (cameras, images, points3D as"
-            " .bin or .txt), found none; is scene.path right? Without poses: scene=photos"
+            " .bin or .txt), found none; is scene.path right? For photos without poses:"
+            " scene=photos"
         )
     _, model = chosen
     files = find_photos(photos, model.names, where)

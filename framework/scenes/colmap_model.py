@@ -87,7 +87,8 @@ def choose_model(
     if others:
         log.warning(
             f"{folder}: of {len(others) + 1} COLMAP models {best.relative_to(folder)} is used, with"
-            f" poses of {counts[best]} photos, and not {', '.join(others)}; see scene.model=FOLDER"
+            f" poses of {counts[best]} photos, and not {', '.join(others)}; scene.model=FOLDER"
+            " chooses another"
         )
     return best, models[best]
 

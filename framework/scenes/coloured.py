@@ -39,6 +39,7 @@ def read_coloured(path: Path, images: int) -> Tracks:
     cells = int(good.sum()) * images
     require(
         cells <= MODEL_CELLS,
-        f"points: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; thin them out",
+        f"points: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; thin out the"
+        " points",
     )
     return Tracks(xyz[good], rgb[good], np.zeros((int(good.sum()), images), dtype=bool))

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from framework.errors import UserError, require
 from framework.files.limits import IMAGE_PIXELS, PHOTO_BYTES, check_pixels
@@ -60,7 +60,8 @@ def opened(path: Path, most: int = IMAGE_PIXELS) -> Iterator[Image.Image]:
         kind = signature(stored.getvalue()[:12])
         if kind is not None and kind not in FORMATS:
             raise UserError(
-                f"{path}: expected a readable image in {FORMAT_NAMES}, got {kind}; convert it"
+                f"{path}: expected a readable image in {FORMAT_NAMES}, got {kind}; convert it to"
+                " JPEG or PNG"
             ) from None
         reason = re.sub(r"<_io\.BytesIO.*?>|\s+", " ", str(error).replace(str(path), "")).strip(
             " '"
@@ -135,17 +136,22 @@ def eight_bit(path: Path, image: Image.Image) -> Image.Image:
         image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
     require(
         image.mode in EIGHT_BIT,
-        f"{path}: expected 8 or 16 bits in grey, RGB or CMYK, got mode {image.mode}; convert it",
+        f"{path}: expected 8 or 16 bits per channel in grey, RGB or CMYK, got mode {image.mode};"
+        " convert it to 8-bit RGB",
     )
     if deep:
-        extrema: Any = image.convert("RGB").getextrema()
-        brightest = max(high for _, high in extrema)
+        brightest = max(high for _, high in _extrema(image.convert("RGB")))
         require(
             not 0 < brightest < DARKEST,
             f"{path}: expected values up to 65,535 in a 16-bit photo, got at most"
             f" {256 * brightest + 255:,}, as of a sensor of 12 bits; scale them to 8 or 16 bits",
         )
     return image
+
+
+def _extrema(image: Image.Image) -> list[tuple[float, float]]:
+    """(lowest, highest) value of each channel of an RGB image."""
+    return [channel.getextrema() for channel in image.split()]  # type: ignore[misc]
 
 
 def turned(image: Image.Image, orientation: int) -> Image.Image:

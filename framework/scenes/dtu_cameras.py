@@ -41,7 +41,8 @@ def read_cameras(folder: Path, positions: Sequence[int]) -> dict[int, Calibratio
     path = next((folder / name for name in FILES if is_file(folder / name)), None)
     if path is None:
         raise UserError(
-            f"{folder}: expected {' or '.join(FILES)}, found neither; is scene.path a scan?"
+            f"{folder}: expected the cameras in {' or '.join(FILES)}, found neither; is scene.path"
+            " the folder of one scan?"
         )
     matrices = read_npz(path, [f"world_mat_{i}" for i in positions])
     return {

@@ -65,7 +65,8 @@ def points_and_bounds(
         near, far = near or bounds[0], far or bounds[1]
         require(
             near < far,
-            f"{where}: expected near < far, got {near:.4g}, {far:.4g} from the points; give both",
+            f"{where}: expected near < far, got near={near:.4g}, far={far:.4g} (one of them from"
+            " the points); give both",
         )
     return tracks.for_training(train), near, far
 

@@ -99,7 +99,8 @@ class Transforms(FolderScene):
             require(
                 bool(test) and bool(by_file.divide(len(names))[1]),
                 f"{file}: expected photos of its test_filenames or val_filenames for"
-                f" scene.split={self.split}, got none; name or restore them",
+                f" scene.split={self.split}, got none; name or restore them, or use"
+                " scene.split=llff",
             )
             return by_file.split(names, self.n_views, where)
         split = protocol(self.split).split(names, self.n_views, where)

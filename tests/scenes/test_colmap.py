@@ -114,7 +114,7 @@ def test_truncated_binaries_end_in_one_line(tmp_path: Path, file: str) -> None:
 
 
 def test_every_other_error(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="got none; correct"):
+    with pytest.raises(UserError, match="got no such folder"):
         load(tmp_path)
     folder = write_scene(tmp_path)
     with pytest.raises(UserError, match="n_views of at most 8"):

@@ -125,8 +125,8 @@ def test_pictures_that_are_not_read_are_named(
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.png", b"GIF89a", "got GIF; convert it"),
-        ("a.jpg", b"\0\0\0\x18ftypheic", "got HEIC; convert it"),
+        ("a.png", b"GIF89a", "got GIF; convert it to JPEG or PNG"),
+        ("a.jpg", b"\0\0\0\x18ftypheic", "got HEIC; convert it to JPEG or PNG"),
         (
             "a.NEF",
             b"II*\0",

@@ -90,7 +90,7 @@ def test_a_draw_takes_other_training_views_of_the_same_pool_and_tests_the_same(n
     assert {i for draw in draws for i in draw.train} == {*pool}, "any photo may be drawn"
     assert protocol(f"{name}_drawn7").split(names(49), 3, "here") == draws[7]
     for every in (ALL, len(pool)):
-        with pytest.raises(UserError, match=r"^here: expected n_views below .* draws are equal"):
+        with pytest.raises(UserError, match=r"^here: expected n_views below .* would be the same"):
             protocol(f"{name}_drawn7").split(names(49), every, "here")
 
 

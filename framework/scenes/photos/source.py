@@ -64,7 +64,8 @@ def find_source(path: str, side: int, frames: int, matching: str = SIFT) -> Sour
         return _video(place, side, frames, matching)
     require(
         place.is_dir(),
-        f"scene=photos: expected photos or a video at '{path}', found nothing; correct it",
+        f"scene=photos: expected a folder of photos or a video at '{path}', found nothing; correct"
+        " scene.path",
     )
     folder = place
     if not _photos(place) and (place / "images").is_dir():
@@ -99,7 +100,8 @@ def _twins(files: Sequence[Path]) -> dict[str, str]:
 def _video(file: Path, side: int, frames: int, matching: str) -> Source:
     require(
         file.suffix.lower() in VIDEO,
-        f"{file}: expected photos or a video ({', '.join(sorted(VIDEO))}), got another file",
+        f"{file}: expected a folder of photos or a video ({', '.join(sorted(VIDEO))}), got another"
+        " file; correct scene.path",
     )
     key = _key(matching, [side, frames, _sha256(file, VIDEO_BYTES)])
     return Source(file.resolve().stem, file.parent, (file,), True, key, side, frames, matching)
@@ -137,7 +139,8 @@ def _instead(folder: Path) -> str:
 def _check_count(place: Path, n_files: int, n_distinct: int) -> None:
     require(
         n_distinct > 1 or n_files == 1,
-        f"{place}: expected different photos, got the same photo {n_files} times; take others",
+        f"{place}: expected photos from different places, got the same photo {n_files} times; take"
+        " some from other places",
     )
     require(
         n_distinct >= FEWEST,

@@ -76,7 +76,8 @@ def _count(video: Path) -> int:
     capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise UserError(
-            f"{video}: expected a video that OpenCV reads, got a damaged one; convert it to MP4"
+            f"{video}: expected a video that OpenCV reads, got a damaged or unknown file; convert"
+            " it to MP4 (H.264)"
         )
     width, height = (int(capture.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, 4))
     check_pixels(video, width, height)
