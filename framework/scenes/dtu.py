@@ -1,7 +1,8 @@
 """`scene=dtu`: a scan of the DTU data set in the layout of IDR and NeuS.
 
 The layout is `cameras_sphere.npz` (or `cameras.npz`), `mask/000.png` ..., and the 49 photos of the
-rig in `images/` or `image/`. MVSNet's layout (`Rectified/`, `Cameras/`) is not read.
+rig in `images/` or `image/`. Photos may also have MVSNet's names in `Rectified/`, of light 3 as
+RegNeRF uses them: `rect_001_3_r5000.png` is position 0. MVSNet's `Cameras/` are not read.
 
 `world_mat_i` is the 3 x 4 projection K [R | t] of position i in millimetres, for photos of
 1600 x 1200. By default photos are reduced to the usual 400 x 300. Near and far are the depths of
@@ -39,7 +40,7 @@ from framework.scenes.splits import Split, protocol
 
 log = logging.getLogger(__name__)
 
-POSITION = re.compile(r"\d{1,9}", re.ASCII)
+POSITION = re.compile(r"(\d{1,9})|rect_(\d{3})_3_r5000", re.ASCII)
 TRAIN_MASKS = ("background", "full", "object")
 NEAR_MM, FAR_MM = 425.0, 935.0
 USUAL_WIDTH = 400
@@ -75,6 +76,12 @@ class Dtu(FolderScene):
         folder = scan_folder(folder, self.scan)
         where = f"scene=dtu: {folder}"
         layout = "mask/ and cameras_sphere.npz"
+        require(
+            self.images != "auto" or not (folder / "Rectified").is_dir(),
+            f"scene=dtu: expected images/, mask/ and cameras_sphere.npz of one scan, as IDR and"
+            f" NeuS share DTU, in '{folder}', got MVSNet's layout (Rectified/, Cameras/), which is"
+            " not read; download the scans in IDR's layout",
+        )
         files = _numbered(photo_folder("dtu", folder, self.images, ("images", "image"), layout))
         masks = _masks(folder, files)
         split = self._split([*files], where)
@@ -167,7 +174,10 @@ def _numbered(folder: Path) -> dict[int, Path]:
 
 def _position(file: Path) -> int:
     """The number in the name of a photo; -1 for another name."""
-    return int(file.stem) if POSITION.fullmatch(file.stem) else -1
+    match = POSITION.fullmatch(file.stem)
+    if match is None:
+        return -1
+    return int(match[1]) if match[1] else int(match[2]) - 1
 
 
 def _masks(folder: Path, files: dict[int, Path]) -> dict[int, Path]:
@@ -178,4 +188,8 @@ def _masks(folder: Path, files: dict[int, Path]) -> dict[int, Path]:
         f"{folder}: expected a mask for each of {len(files)} photos, got {len(files) - len(bare)};"
         f" restore those of {listed(bare)}",
     )
+    if (folder / "masks").is_dir():
+        log.warning(
+            f"{folder / 'masks'}: not used, as scene=dtu takes the object's mask from mask/"
+        )
     return masks
