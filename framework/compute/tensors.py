@@ -57,6 +57,7 @@ class _Computed(Function):
     def forward(ctx: Any, x: Tensor, function: Any, pull_back: Any) -> Tensor:
         result = torch.from_numpy(np.asarray(function(x.detach().numpy()))).to(x.dtype)
         ctx.save_for_backward(result)
+        ctx.save_for_forward(result)
         ctx.pull_back = pull_back
         return result
 
@@ -64,3 +65,9 @@ class _Computed(Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         (result,) = ctx.saved_tensors
         return ctx.pull_back(gradient, result), None, None
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor, *_: None) -> Tensor:
+        (result,) = ctx.saved_tensors
+        moved: Tensor = ctx.pull_back(tangent, result)
+        return moved

@@ -123,12 +123,14 @@ class Protocol:
         if count > len(pool):
             raise UserError(
                 f"{where}: expected n_views of at most {len(pool)} ({len(names)} images, of which"
-                f" scene.split={self.name} keeps {len(test)} for testing), got {n_views}; lower it"
+                f" scene.split={self.name} keeps {len(test)} for testing), got {n_views}; lower"
+                " scene.n_views"
             )
         require(
             DRAWN not in self.name or count < len(pool),
             f"{where}: expected n_views below {len(pool)}, the views that may train, for"
-            f" scene.split={self.name} to draw from, got {n_views}; lower it: all draws are equal",
+            f" scene.split={self.name} to draw from, got {n_views}: every draw would be the same;"
+            " lower scene.n_views",
         )
         train = sorted(self.pick(pool, count))
         if self.held_out:
