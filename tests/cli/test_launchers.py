@@ -13,6 +13,7 @@ from framework.compute.jit import KERNEL_CACHE
 from tests.cli.test_remote_launchers import holders, wait_for
 
 
+@pytest.mark.slow
 def test_workers_end_with_the_command_that_started_them(tmp_path: Path) -> None:
     """Killed, so no process can report them."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="no joblib launcher here")

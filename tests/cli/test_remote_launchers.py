@@ -73,6 +73,7 @@ def test_ray_makes_the_same_bytes(tmp_path: Path, expected: dict[str, str]) -> N
     assert "2 of 2 ended" in done.stdout and done.stdout.count("report: ") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("module", "words"), [(SUBMITIT, LOCAL), (RAY, RAY_HERE)])
 def test_failures_elsewhere_reach_the_table(tmp_path: Path, module: str, words: str) -> None:
     pytest.importorskip(module, reason=f"{module} is an extra")
