@@ -37,6 +37,7 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
 PREFIX = "results_"  # of a study's folder while its runs are there
 PAGE, ARCHIVE = "report.md", "runs.jsonl"
 FOREST, PICTURES = "differences", 5  # the first picture of a committed study, and how many at most
+HISTORY = ("step", "seconds", "test_psnr", "gaussians", "loss")  # columns that are kept
 OPTIONS = (
     "hydra/launcher=joblib",
     "hydra.launcher.n_jobs=2",
@@ -143,7 +144,7 @@ def keep_studies(studies: Mapping[str, Any]) -> int:
         kept = {k: v for k, v in _lines(target / ARCHIVE).items() if _commit(v) in commits}
         shutil.rmtree(source, ignore_errors=True)
         source.mkdir()
-        lines = (json.dumps(line, separators=(",", ":")) for line in {**kept, **new}.values())
+        lines = (_thin(line) for line in {**kept, **new}.values())
         (source / ARCHIVE).write_text("".join(f"{line}\n" for line in lines), "utf-8")
         command = ["report", str(source), "--title", name, "--without-photos", "--out", str(source)]
         subprocess.run([sys.executable, "run.py", *command], cwd=ROOT, check=True)
@@ -172,6 +173,15 @@ def _lines(path: Path) -> dict[str, Any]:
         return {}
     lines = map(json.loads, path.read_text("utf-8").splitlines())
     return {line["run"]: line for line in lines}
+
+
+def _thin(line: dict[str, Any]) -> str:
+    """The line of an archive with the steps at which test views were evaluated alone, to a fifth
+    of its length."""
+    history = line["history"]
+    rows = [k for k, psnr in enumerate(history["test_psnr"]) if psnr is not None]
+    short = {name: [history[name][k] for k in rows] for name in HISTORY if name in history}
+    return json.dumps({**line, "history": short}, separators=(",", ":"))
 
 
 def _commit(line: Mapping[str, Any]) -> str:
