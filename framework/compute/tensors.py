@@ -50,7 +50,7 @@ def _computed(
 class _Computed(Function):
     """An elementwise function of NumPy's arrays, so its derivative is diagonal.
 
-    pull_back: (gradient in the value, value) -> gradient in x.
+    pull_back: (gradient in the value, value) -> gradient in x; also takes tangents forward.
     """
 
     @staticmethod

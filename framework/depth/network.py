@@ -195,7 +195,8 @@ def _file_sha256(file: Path, modified_ns: int, size: int) -> str:
 
 @contextmanager
 def _explained(expected: str, advice: str) -> Iterator[None]:
-    """Raise UserError for whatever the package or the hub raises: they have many exceptions."""
+    """Raise UserError for what the package or the hub raises. They document no exceptions, and a
+    failed import, download or inference is nothing that the caller could handle."""
     try:
         yield
     except Exception as problem:

@@ -79,14 +79,19 @@ def read_text(path: Path, limit: int) -> str:
 
 @contextmanager
 def reading(where: object, expected: str, advice: str = "write it again") -> Iterator[None]:
-    """Turn whatever a parser of a stranger's file raises into a UserError that names the file, and
-    leave errors of the machine."""
+    """Turn what a parser of a stranger's file raises into a UserError that names the file.
+
+    Parsers raise nearly everything: numpy's reads Python text, so tokenizer, recursion and unicode
+    errors come out of it (`tests/system/test_fuzz.py`). Errors of the machine, as a lack of memory,
+    stay what they are.
+    """
     try:
         yield
     except Exception as error:
         if isinstance(error, UserError) or machine_line(error) is not None:
             raise
-        got = f"{type(error).__name__}: {error}".rstrip(": ")
+        reason = " ".join(str(error).split())[:160]  # in one line
+        got = f"{type(error).__name__}: {reason}".rstrip(": ")
         raise UserError(
             f"{where}: expected {expected}, got a damaged one ({got}); {advice}"
         ) from error

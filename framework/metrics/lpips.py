@@ -198,7 +198,12 @@ def _fitting(weights: dict[str, Tensor], backbone: Backbone, path: str | Path) -
     for stage, layers in enumerate(backbone.layers):
         for layer in layers:
             key, size = f"net.slice{stage + 1}.{layer}", backbone.kernels.get(layer, 3)
-            n_outputs = weights.get(f"{key}.bias", torch.empty(0)).numel()
+            require(
+                f"{key}.bias" in weights,
+                "metrics.lpips_weights: expected the LPIPS state dict of VGG-16 or AlexNet, got"
+                f" none of '{key}.bias' in '{path}'; save the whole model's state_dict()",
+            )
+            n_outputs = weights[f"{key}.bias"].numel()
             require(
                 n_outputs in range(LANES, MOST_CHANNELS + 1, LANES),
                 f"metrics.lpips_weights: expected a multiple of {LANES} channels, at most"

@@ -66,8 +66,8 @@ def build_report(
         rival: display or registry name of the baseline; "" for training without a method.
 
     Raises:
-        UserError: There is no run, or none of the baseline; or a picture of a run is damaged, or an
-            earlier report, or an archive, has what this one would lose.
+        UserError: There is no run, or none of the baseline. A picture of a run is damaged. An
+            earlier report or an archive has what this one would lose.
     """
     study = collect(study_dirs, out_dir, rival)
     require(

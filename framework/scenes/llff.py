@@ -138,12 +138,13 @@ def _read_poses(path: Path) -> NDArray[np.float64]:
     )
     rows = rows.astype(np.float64)
     sides = rows[:, [4, 9]]
-    good = (rows[:, 15] > 0) & (rows[:, 16] > rows[:, 15]) & (rows[:, 14] > 0)
+    good = np.isfinite(rows).all(axis=1)
+    good &= (rows[:, 15] > 0) & (rows[:, 16] > rows[:, 15]) & (rows[:, 14] > 0)
     good &= ((sides >= 1) & (sides <= SIDE_PIXELS)).all(axis=1)
     require(
         bool(good.all()),
-        f"{path}: expected 0 < near < far, positive focal and sides of 1 to {SIDE_PIXELS} pixels;"
-        f" got otherwise in rows {np.flatnonzero(~good)}; replace it",
+        f"{path}: expected finite numbers, 0 < near < far, positive focal and sides of 1 to"
+        f" {SIDE_PIXELS} pixels; got otherwise in rows {np.flatnonzero(~good)}; replace it",
     )
     return rows
 

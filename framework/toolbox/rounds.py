@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from framework.errors import require
 from framework.plugin import Edits, StepContext, StepStats
@@ -167,16 +167,21 @@ def training_information(ctx: StepContext) -> TrainingInformation:
     where a photo's mask ends, and other views see them (docs/decisions.md)."""
     from framework.fisher.information import FisherInformation
 
-    block: Any = 0
-    diagonal: Any = 0
-    visible: Any = False
-    colours = []
+    total, colours = None, []
     for view in ctx.views:
         of_view = ctx.fisher(view.camera)
-        block, diagonal = of_view.block.double() + block, of_view.diagonal.double() + diagonal
-        visible = of_view.visible | visible
         colours.append(of_view.diagonal[:, SH0:].clone())
-    return TrainingInformation(FisherInformation(block, diagonal, visible), tuple(colours))
+        block, diagonal, visible = (
+            of_view.block.double(),
+            of_view.diagonal.double(),
+            of_view.visible,
+        )
+        if total is not None:
+            block, diagonal = total.block + block, total.diagonal + diagonal
+            visible = total.visible | visible
+        total = FisherInformation(block, diagonal, visible)
+    assert total is not None, "a training has a view"
+    return TrainingInformation(total, tuple(colours))
 
 
 def _edits(gaussians: Gaussians, keep: Tensor, pull: Tensor, n_split: int) -> Edits:

@@ -1,8 +1,8 @@
 """Front-to-back blending of a tile's list, and its gradient.
 
-With w_i = T_i alpha_i and S = the sum over what lies behind, including the background, d C / d
-alpha_i = T_i c_i - S / (1 - alpha_i) (Kerbl et al. 2023, appendix; front to back). The background
-is part of the initial S, which is the finished pixel.
+Let w_i = T_i alpha_i, and let S be the sum over what lies behind. Then d C / d alpha_i = T_i c_i -
+S / (1 - alpha_i) (Kerbl et al. 2023, appendix; front to back). The initial S is the finished pixel,
+so the background is part of it.
 """
 
 import numpy as np

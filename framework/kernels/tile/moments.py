@@ -92,7 +92,7 @@ def _hide(x, y, width, height, mask, transmittance):
 def blend_moments(strip, n_strips, slots, mixed, strips, rgb, mask, sums, slopes, cross):
     """Compute second moments of the image's derivatives: Fisher information on the screen.
 
-    Let q = sum over channels of (alpha d C / d alpha)^2 and e = dy + (B / C) dx, the offset from
+    Let q = sum over channels of (alpha d C / d alpha)^2. Let e = dy + (B / C) dx: the offset from
     the axis of a thin Gaussian with conic A, B, C. Lanes 0-14 of `sums` are sums over pixels of q
     dx^i e^j, ordered 1; dx, e; dx^2, dx e, e^2; dx^3 ... e^3; dx^4 ... e^4. Lane 15 is the sum of
     weight^2, the information on each colour channel. With dy instead of e, information on the width
