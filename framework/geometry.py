@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -110,14 +111,14 @@ def perturbed(camera: Camera, axis_angle: Tensor, shift: Tensor) -> Camera:
     viewmat = camera.viewmat.clone()
     viewmat[:3, :3] = rotation
     viewmat[:3, 3] = -_rotate(rotation, camera.center + shift.to(torch.float64))
-    return Camera(viewmat, camera.K, camera.width, camera.height)
+    return replace(camera, viewmat=viewmat)
 
 
 def moved_aside(camera: Camera, shift: float) -> Camera:
     """`camera` with its centre at `shift` (scene units) along its own x axis."""
     viewmat = camera.viewmat.clone()
     viewmat[0, 3] -= shift
-    return Camera(viewmat, camera.K, camera.width, camera.height)
+    return replace(camera, viewmat=viewmat)
 
 
 def distance(a: Camera, b: Camera) -> float:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from framework.errors import UserError
 
+DILATION = 0.3  # pixels^2, as in 3DGS
 PSEUDO = "pseudo"  # the tag the trainer gives to the views that an augmenter returns
 
 
@@ -30,12 +31,14 @@ class Camera:
         viewmat: [4, 4] float64 world-to-camera.
         K: [3, 3] float64, pixels.
         width, height: pixels.
+        dilation: pixels^2, added to both variances of a Gaussian on the screen.
     """
 
     viewmat: Tensor
     K: Tensor
     width: int
     height: int
+    dilation: float = DILATION
 
     def __post_init__(self) -> None:
         if tuple(self.viewmat.shape) != (4, 4) or tuple(self.K.shape) != (3, 3):
@@ -61,12 +64,18 @@ class Camera:
         return -(x + y + z)
 
     def scaled(self, factor: int) -> Camera:
-        """The camera of the image box-downsampled by an integer `factor` (floor of the size)."""
+        """The camera of the image box-downsampled by an integer `factor` (floor of the size).
+
+        A mean over factor x factor pixels widens a Gaussian by (factor^2 - 1) / 12 pixels^2. A
+        dilation of 0.3 of the larger pixels would widen it more, and Gaussians trained on small
+        images would be too thin in large ones.
+        """
         if factor == 1:
             return self
         K = self.K.clone()
         K[:2] /= factor
-        return Camera(self.viewmat, K, self.width // factor, self.height // factor)
+        dilation = (self.dilation + (factor**2 - 1) / 12) / factor**2
+        return Camera(self.viewmat, K, self.width // factor, self.height // factor, dilation)
 
 
 @dataclass(frozen=True)

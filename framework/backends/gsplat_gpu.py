@@ -83,7 +83,7 @@ class Gsplat(ByAutograd):
         import gsplat
         import torch
 
-        from framework.kernels.constants import DILATION, TILE
+        from framework.kernels.constants import TILE
         from framework.types import Render
 
         g, size = gaussians.to(self.device), (camera.width, camera.height)
@@ -97,7 +97,7 @@ class Gsplat(ByAutograd):
             viewmats,
             Ks,
             *size,
-            eps2d=DILATION,
+            eps2d=camera.dilation,
             near_plane=near,
             opacities=opacities.detach(),
         )

@@ -3,7 +3,6 @@
 ALPHA_MIN = 1.0 / 255.0  # a fainter (pixel, Gaussian) pair is skipped
 ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 1e-4  # a pixel that would fall below it is finished
-DILATION = 0.3  # pixels^2, added to both variances of the projected covariance
 FRUSTUM_MARGIN = 0.25  # a centre farther outside the image than this share of its size is culled
 TILE = 16  # pixels
 WHOLE = 0.999  # of a mask, from which a pixel is in it

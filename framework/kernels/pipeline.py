@@ -54,10 +54,10 @@ class Image:
 
 
 def camera_row(camera: Camera, near: float) -> np.ndarray:
-    """The camera as the kernels read it: float32[20], see `ewa`."""
+    """The camera as the kernels read it: float32[21], see `ewa`."""
     pose, K = camera.viewmat.tolist(), camera.K.tolist()  # element by element takes far longer
     row = [*pose[0][:3], *pose[1][:3], *pose[2][:3], *(line[3] for line in pose[:3])]
-    row += [*camera.center.tolist(), K[0][0], K[1][1], K[0][2], K[1][2], near]
+    row += [*camera.center.tolist(), K[0][0], K[1][1], K[0][2], K[1][2], near, camera.dilation]
     return np.array(row, np.float32)
 
 

@@ -5,13 +5,13 @@ It is the definition that the kernels are tested against. The image formation is
 
     x_c = W x + t                    camera coordinates, OpenCV axes
     J   = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]]
-    S'  = J W S W^T J^T + 0.3 I      pixels^2, S = R diag(exp(log_scales))^2 R^T
+    S'  = J W S W^T J^T + e I        pixels^2, S = R diag(exp(log_scales))^2 R^T
     a_i = min(0.99, o_i exp(-d^T S'^-1 d / 2)),  d = pixel centre - projected mean
     w_i = a_i prod_{j<i} (1 - a_j)   front to back by z, ties by index
 
-A (pixel, Gaussian) pair takes part only if its unclamped alpha is at least 1/255, and a pixel stops
-before the Gaussian that would bring its transmittance below 1e-4. M counts the Gaussians that pass
-culling, P = H W the pixels, K the SH coefficients.
+e is the camera's dilation. A (pixel, Gaussian) pair takes part only if its unclamped alpha is at
+least 1/255, and a pixel stops before the Gaussian that would bring its transmittance below 1e-4.
+M counts the Gaussians that pass culling, P = H W the pixels, K the SH coefficients.
 """
 
 import math
@@ -24,7 +24,6 @@ from framework.geometry import rotation_matrices
 from framework.kernels.constants import (
     ALPHA_MAX,
     ALPHA_MIN,
-    DILATION,
     FRUSTUM_MARGIN,
     TRANSMITTANCE_MIN,
 )
@@ -126,7 +125,7 @@ def project(
         means2d = means2d + means2d_offset[index]
     factors = _covariance_factor(gaussians)[index]
     half = _perspective_jacobian(points, camera) @ rotation @ factors
-    cov2d = half @ half.mT + DILATION * torch.eye(2, dtype=means.dtype, device=means.device)
+    cov2d = half @ half.mT + camera.dilation * torch.eye(2).to(means)
     colors = shade(gaussians, camera.center.to(means), sh_degree)[index]
     return Footprints(index, means2d, cov2d, points[:, 2], opacities[index], colors)
 

@@ -54,8 +54,7 @@ def student_options(options: TrainerOptions) -> TrainerOptions:
     """The options of the student's training.
 
     Rates are those of a training and fall as in one. The teacher replaces the second camera. Its
-    renders are not made smaller: a splat is at least a fraction of a pixel wide, so what fits a
-    small image does not fit a large one.
+    renders are not made smaller, which would save little and lose detail (docs/decisions.md).
 
     Args:
         options: of the members, from `schedule.paced`.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from framework.plugin import StepContext
@@ -70,7 +71,6 @@ def unseen_camera(ctx: StepContext, rng: np.random.Generator, size_of: Camera) -
     import torch
 
     from framework import geometry
-    from framework.types import Camera
 
     cameras = [view.camera for view in ctx.views]
     first = cameras[int(rng.integers(len(cameras)))]
@@ -78,7 +78,7 @@ def unseen_camera(ctx: StepContext, rng: np.random.Generator, size_of: Camera) -
     if len(cameras) == 1:
         step = torch.from_numpy(0.1 * ctx.extent * np.clip(shift, -1, 1))
         camera = geometry.perturbed(first, torch.zeros(3, dtype=torch.float64), step)
-        return Camera(camera.viewmat, size_of.K, size_of.width, size_of.height)
+        return replace(size_of, viewmat=camera.viewmat)
     return camera_between(cameras, first, share, size_of)
 
 
@@ -93,7 +93,6 @@ def camera_between(
 
     from framework import geometry
     from framework.compute.portable import product
-    from framework.types import Camera
 
     others = [camera for camera in cameras if camera is not first]
     other = min(others, key=lambda camera: math.dist(camera.center.tolist(), first.center.tolist()))
@@ -103,7 +102,7 @@ def camera_between(
     center = (1 - share) * first.center + share * other.center
     viewmat = torch.eye(4, dtype=torch.float64)
     viewmat[:3, :3], viewmat[:3, 3] = rotation, torch.from_numpy(-product(rotation, center))
-    return Camera(viewmat, size_of.K, size_of.width, size_of.height)
+    return replace(size_of, viewmat=viewmat)
 
 
 def seen_through(

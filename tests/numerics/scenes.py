@@ -45,6 +45,8 @@ def random_case(
     rng = stream(seed, "test-scene")
     width, height = size or SIZES[seed % len(SIZES)]
     camera = random_camera(rng, width, height)
+    if seed % 3 == 2:  # as of a smaller image
+        camera = replace(camera, dilation=0.125)
     pixels = rng.uniform(-margin, 1 + margin, (n, 2)) * [width, height]
     z = rng.uniform(1.5, 6.0, n)
     z[rng.random(n) < 0.05] *= -1

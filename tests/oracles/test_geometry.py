@@ -7,7 +7,6 @@ from kornia.geometry.conversions import quaternion_to_rotation_matrix
 from torch import Tensor
 from torch.func import jacrev, vmap
 
-from framework.kernels.constants import DILATION
 from framework.kernels.reference import project
 from tests.numerics.scenes import random_case
 
@@ -29,5 +28,5 @@ def test_means_and_covariances_equal_kornia_s(seed: int) -> None:
     unit = torch.nn.functional.normalize(kept.quats, dim=1)
     axes = quaternion_to_rotation_matrix(unit) * kept.scales[:, None, :]
     half = vmap(jacrev(on_screen))(points) @ rotation @ axes
-    covariance = half @ half.mT + DILATION * torch.eye(2, dtype=torch.float64)
+    covariance = half @ half.mT + camera.dilation * torch.eye(2, dtype=torch.float64)
     torch.testing.assert_close(seen.cov2d, covariance, rtol=1e-8, atol=1e-8)

@@ -7,6 +7,7 @@ is 100 / 2 x 0.02 = 1 px wide, and its variance with the dilation 1.3 px^2.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -186,3 +187,16 @@ def test_offset_moves_the_footprint_and_gets_the_screen_gradient(render: Rasteri
     alpha = render(gaussians, CAMERA, means2d_offset=offset).alpha[10, 21]
     alpha.backward()
     _close(offset.grad, [[float(alpha.detach()) / 1.3, 0.0]])  # type: ignore[arg-type]
+
+
+@both
+def test_a_smaller_image_is_the_mean_of_the_larger(render: Rasterizer) -> None:
+    """The smaller camera's dilation is that of a mean over 2x2 pixels; 0.3 of its own pixels would
+    blur a Gaussian of one pixel."""
+    gaussians = _gaussians([(0.005, 0.005, 2)], [0.5], [RED], scale=0.02)
+    mean = render(gaussians, CAMERA).alpha.unfold(0, 2, 2).unfold(1, 2, 2).mean((-1, -2))
+    small = CAMERA.scaled(2)
+    assert small.dilation == pytest.approx((0.3 + 0.25) / 4)
+    blurred = replace(small, dilation=0.3)
+    error = float((render(gaussians, small).alpha - mean).abs().sum())
+    assert error < 0.5 * float((render(gaussians, blurred).alpha - mean).abs().sum())

@@ -2,7 +2,7 @@
 
 Helpers for float32 numbers and for vectors of them (`simd`) alike.
 
-Camera row (float32[20]): rotation (9), translation (3), centre (3), fx, fy, cx, cy, near.
+Camera row (float32[21]): rotation (9), translation (3), centre (3), fx, fy, cx, cy, near, dilation.
 """
 
 import math
@@ -11,12 +11,10 @@ import numpy as np
 
 from framework.compute.jit import inlined
 from framework.compute.simd import exp2, minimum, splat
-from framework.kernels.constants import DILATION
 
 f4 = np.float32
 HALF, ONE, TWO = f4(0.5), f4(1), f4(2)
 LOG2E, LN2 = f4(1.4426950408889634), f4(0.6931471805599453)
-_DILATION = f4(DILATION)
 _LARGEST = f4(126)
 
 
@@ -88,7 +86,7 @@ def exp(x):
 
 
 @inlined
-def covariance(m, s0, s1, s2):
+def covariance(m, s0, s1, s2, dilation):
     """xx, xy, yy of U S S^T U^T + dilation for U = `m` [2x3], and their determinant."""
     a0, a1, a2 = m[0] * s0, m[1] * s1, m[2] * s2
     b0, b1, b2 = m[3] * s0, m[4] * s1, m[5] * s2
@@ -97,8 +95,8 @@ def covariance(m, s0, s1, s2):
     yy = b0 * b0 + b1 * b1 + b2 * b2
     # xx yy - xy^2 would cancel for long, thin Gaussians and leave an indefinite conic
     c01, c02, c12 = a0 * b1 - a1 * b0, a0 * b2 - a2 * b0, a1 * b2 - a2 * b1
-    determinant = c01 * c01 + c02 * c02 + c12 * c12 + _DILATION * (xx + yy + _DILATION)
-    return xx + _DILATION, xy, yy + _DILATION, determinant
+    determinant = c01 * c01 + c02 * c02 + c12 * c12 + dilation * (xx + yy + dilation)
+    return xx + dilation, xy, yy + dilation, determinant
 
 
 @inlined

@@ -18,7 +18,6 @@ import numpy as np
 
 from framework.compute.jit import inlined
 from framework.compute.simd import LANES, store, zeros
-from framework.kernels.constants import DILATION
 from framework.kernels.project.ewa import exp, rotation, to_camera, unit_quat
 
 TWO = np.float32(2)
@@ -114,7 +113,7 @@ def screen_jacobian(camera, mean, quaternion, log_scale, conic, jacobian):
     m2 = _axis(camera, r[2], r[5], r[8], j)
     s = (exp(TWO * log_scale[0]), exp(TWO * log_scale[1]), exp(TWO * log_scale[2]))
     variance = s[0] * m0[0] * m0[0] + s[1] * m1[0] * m1[0] + s[2] * m2[0] * m2[0]
-    spread = np.float32(1) / (variance + np.float32(DILATION))
+    spread = np.float32(1) / (variance + camera[20])
     n0, n1, n2 = _form(m0, spread, cb, cc), _form(m1, spread, cb, cc), _form(m2, spread, cb, cc)
     k0, k1, k2 = _scaled(s[0], n0), _scaled(s[1], n1), _scaled(s[2], n2)
     _put(jacobian, 3, k0, n0)

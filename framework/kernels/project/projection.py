@@ -113,7 +113,8 @@ def _spread(camera, x, y, z, quat, log_scale):
     """(xx, xy, yy, determinant) of the covariance on the screen."""
     qw, qx, qy, qz, _ = unit_quat(quat)
     m = times_rotation(screen_axes(camera, x, y, z), rotation(qw, qx, qy, qz))
-    return covariance(m, exp(log_scale[0]), exp(log_scale[1]), exp(log_scale[2]))
+    s0, s1, s2 = exp(log_scale[0]), exp(log_scale[1]), exp(log_scale[2])
+    return covariance(m, s0, s1, s2, camera[20])
 
 
 @inlined

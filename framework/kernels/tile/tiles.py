@@ -160,8 +160,8 @@ def longest_run(fall, peak):
 
     Let d = sqrt(-fall), and p the peak, or 0 if the peak is positive. A parabola below p that
     reaches -9 in one of n rows is above p - (sqrt(9 + p) + n d)^2 in all of them and in the row
-    below. This must stay above -124. It allows at least 5 rows where p = 0, because dilation bounds
-    d.
+    below. This must stay above -124. It allows at least 5 rows where p = 0 and the dilation is 0.3
+    pixels^2, and 2 rows at the least dilation of a coarse image, 1/12.
     """
     p = maximum(peak, zeros())
     span = math.sqrt(_LOWEST + p) - math.sqrt(p - _FAINT)
