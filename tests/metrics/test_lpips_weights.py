@@ -34,6 +34,7 @@ def test_fetched_weights_are_those_of_the_package(
     assert lpips_weights.chosen(None) == lpips_weights.cached("vgg")
     assert lpips_weights.chosen("none") is None
     assert cli.main(["fetch", "lpips"]) == 0 and "already fetched" in capsys.readouterr().out
+    assert cli.main(["fetch", "lpips", "--from", __file__]) == 2  # the file is checked anyway
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pip") is None, reason="pip is not installed")

