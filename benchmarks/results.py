@@ -176,12 +176,14 @@ def _lines(path: Path) -> dict[str, Any]:
 
 
 def _thin(line: dict[str, Any]) -> str:
-    """The line of an archive with the steps at which test views were evaluated alone, to a fifth
-    of its length."""
+    """The line of an archive to a seventh of its length: of the history, the steps at which test
+    views were evaluated alone; numbers to seven digits."""
     history = line["history"]
     rows = [k for k, psnr in enumerate(history["test_psnr"]) if psnr is not None]
     short = {name: [history[name][k] for k in rows] for name in HISTORY if name in history}
-    return json.dumps({**line, "history": short}, separators=(",", ":"))
+    text = json.dumps({**line, "history": short})
+    rounded = json.loads(text, parse_float=lambda number: float(f"{float(number):.7g}"))
+    return json.dumps(rounded, separators=(",", ":"))
 
 
 def _commit(line: Mapping[str, Any]) -> str:
