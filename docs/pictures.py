@@ -23,8 +23,13 @@ from PIL import Image
 from scipy import stats
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))  # this checkout's packages
+
+from benchmarks import quoted  # noqa: E402
+
 COMMITTED, IMAGES = ROOT / "reports" / "committed", ROOT / "docs" / "images"
-GREEN, GREY, BLUE = "#0f9b7a", "#44546a", "#1f5fbf"
+GREEN, GREY = "#0f9b7a", "#44546a"
+PRESETS = ("fast", "balanced", "best")  # by their CPU seconds
 METHODS = {  # (augmenter, regularizer) in the records -> display name, in the order of the charts
     ("none", "uniform"): "Uniform dropout",
     ("none", "dropgaussian"): "DropGaussian",
@@ -170,19 +175,22 @@ def scene_label(scene: str) -> str:
 
 
 def draw_speed(out: Path) -> None:
-    """PSNR over CPU seconds on fern with three photos (docs/benchmarks.md, Speed)."""
-    figure = Figure(figsize=(7, 3.2), layout="constrained")
-    panel = figure.subplots()
-    panel.plot([10, 35], [23.66, 23.96], "o-", color=GREEN, label="fishersplat, fast and balanced")
-    panel.plot([436], [20.50], "s", color=GREY, label="OpenSplat 1.2.0, best checkpoint")
-    panel.plot([246], [23.21], "D", color=BLUE, label="fishersplat, preset=paper (half size)")
-    panel.set_xscale("log")
-    panel.set_xlim(1, 1000)
-    panel.set_ylim(20, 24.5)
-    panel.set_xlabel("CPU seconds of training")
-    panel.set_ylabel("PSNR (dB), fern")
-    panel.grid(alpha=0.3)
-    panel.legend(loc="lower left")
+    """PSNR and LPIPS over CPU seconds of the presets, means over the scenes of study `speed`."""
+    means = quoted.means("speed").sort_values("train_cpu_s")
+    figure = Figure(figsize=(9, 3.2), layout="constrained")
+    labels = {"psnr": "PSNR (dB)", "lpips_01": "LPIPS"}
+    for panel, (metric, label) in zip(figure.subplots(1, 2), labels.items(), strict=True):
+        panel.plot(means["train_cpu_s"], means[metric], "o-", color=GREEN)
+        for preset, (_, mean) in zip(PRESETS, means.iterrows(), strict=True):
+            text = f"{preset}\n{round(mean['gaussians'], -3):,.0f} Gaussians"
+            place = mean["train_cpu_s"], mean[metric]
+            below = {"xytext": (0, -6), "textcoords": "offset points", "ha": "center", "va": "top"}
+            panel.annotate(text, place, fontsize=8, **below)
+        panel.set_xscale("log")
+        panel.margins(0.2, 0.35)
+        panel.set_xlabel("CPU seconds of training")
+        panel.set_ylabel(label)
+        panel.grid(alpha=0.3)
     figure.savefig(out, dpi=100)
 
 
