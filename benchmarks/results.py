@@ -36,7 +36,8 @@ REPORTS = ROOT / "reports"
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
 PREFIX = "results_"  # of a study's folder while its runs are there
 PAGE, ARCHIVE = "report.md", "runs.jsonl"
-FOREST, PICTURES = "differences", 5  # the first picture of a committed study, and how many at most
+PICTURES = 5  # the first of a report, which are committed
+PICTURE = re.compile(r"^!\[[^\n]*\]\(([^)]+\.png)\)", re.M)
 HISTORY = ("step", "seconds", "test_psnr", "gaussians", "loss")  # columns that are kept
 OPTIONS = (
     "hydra/launcher=joblib",
@@ -150,10 +151,9 @@ def keep_studies(studies: Mapping[str, Any]) -> int:
         subprocess.run([sys.executable, "run.py", *command], cwd=ROOT, check=True)
         shutil.rmtree(target, ignore_errors=True)
         target.mkdir(parents=True)
-        pictures = sorted(source.glob("*.png"), key=lambda path: (path.stem != FOREST, path))
-        for file in (source / ARCHIVE, *pictures[:PICTURES]):
-            shutil.copy(file, target)
         page = (source / PAGE).read_text("utf-8")
+        for file in (ARCHIVE, *PICTURE.findall(page)[:PICTURES]):
+            shutil.copy(source / file, target)
         (target / PAGE).write_text(without_absent(page, target), "utf-8")
         print(f"{name}: {summary(_lines(target / ARCHIVE))}")
     return 0
