@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from statistics import median
 
 import pytest
 
@@ -68,7 +69,7 @@ def test_nothing_grows(launcher: str, tmp_path: Path) -> None:
     assert process.returncode == 0, (tmp_path / "log.txt").read_text()
     warm = [sample for done, sample in samples if WARM_RUNS <= done < (WARM_RUNS + RUNS) / 2]
     last = [sample for done, sample in samples if (WARM_RUNS + RUNS) / 2 <= done < RUNS]
-    memory, *counts = (max(column) for column in zip(*warm, strict=True))
-    memory_then, *counts_then = (max(column) for column in zip(*last, strict=True))
-    assert memory_then <= GROWTH * memory
-    assert counts_then <= counts
+    (memory, *handles), (memory_then, *handles_then) = (zip(*s, strict=True) for s in (warm, last))
+    assert max(memory_then) <= GROWTH * max(memory)
+    for before, then in zip(handles, handles_then, strict=True):  # a sample may catch a write
+        assert median(then) <= median(before)
