@@ -113,7 +113,7 @@ def commands_of(
 ) -> Iterator[list[str]]:
     """The command lines of a study, one for each of `scenes` and each entry of `options`.
 
-    Each scene has a folder of its own, so that scenes can be trained on different days.
+    Each scene has a separate folder, so that scenes can be trained on different days.
     """
     entries = study["options"] if isinstance(study["options"], list) else [study["options"]]
     for scene in study.get("scenes", canon["scenes"]):
@@ -176,8 +176,10 @@ def _lines(path: Path) -> dict[str, Any]:
 
 
 def _thin(line: dict[str, Any]) -> str:
-    """The line of an archive to a seventh of its length: of the history, the steps at which test
-    views were evaluated alone; numbers to seven digits."""
+    """A line of an archive, shortened to about a quarter of its length.
+
+    The history keeps the steps at which test views were evaluated, and numbers seven digits.
+    """
     history = line["history"]
     rows = [k for k, psnr in enumerate(history["test_psnr"]) if psnr is not None]
     short = {name: [history[name][k] for k in rows] for name in HISTORY if name in history}

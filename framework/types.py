@@ -54,6 +54,8 @@ class Camera:
             raise UserError(
                 f"camera: expected a size of at least 1x1, got {self.width}x{self.height}"
             )
+        if not 0 < self.dilation < math.inf:
+            raise UserError(f"camera: expected a finite dilation above 0, got {self.dilation}")
 
     @cached_property
     def center(self) -> Tensor:
@@ -111,8 +113,13 @@ class View:
 
 @dataclass(frozen=True)
 class DepthMap:
-    """depth: [H, W] float32, 0 = no estimate. confidence: [H, W] float32 in [0, 1]; 0 marks a mere
-    guess that failed the consistency check; only the others may enter an initialisation or warp."""
+    """Depth of a training view.
+
+    Attributes:
+        depth: [H, W] float32, 0 = no estimate.
+        confidence: [H, W] float32 in [0, 1]. 0 marks a guess that failed the consistency check.
+            Only the others may enter an initialisation or warp.
+    """
 
     depth: Tensor
     confidence: Tensor

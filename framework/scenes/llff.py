@@ -1,10 +1,10 @@
 """`scene=llff`: `poses_bounds.npy` and `images_8/`, the layout of the LLFF data set.
 
 A row of `poses_bounds.npy` is a 3 x 5 matrix, row-major, and the near and far depth bounds. The
-columns of the matrix are the camera's down, right and backward axes in the world, its centre, and
-(height, width, focal) in pixels of the full-size photo (Mildenhall et al. 2019, LLFF's
-`poses/pose_utils.py`). Row i belongs to the i-th image in sorted order. The principal point is the
-middle of the image. Photos may have any size of these proportions, rounded (`images_4`).
+first columns of the matrix are the camera's down, right and backward axes in the world. Then come
+its centre, and (height, width, focal) in pixels of the full-size photo (Mildenhall et al. 2019,
+LLFF's `poses/pose_utils.py`). Row i belongs to the i-th image in sorted order. The principal point
+is the middle of the image. Photos may have any size of these proportions, rounded (`images_4`).
 
 The poses were estimated with a lens (COLMAP's SIMPLE_RADIAL) whose distortion is not in the layout
 and which the usual evaluation ignores. `k1` removes it from the photos, also from test photos.

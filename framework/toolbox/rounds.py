@@ -171,15 +171,12 @@ def training_information(ctx: StepContext) -> TrainingInformation:
     for view in ctx.views:
         of_view = ctx.fisher(view.camera)
         colours.append(of_view.diagonal[:, SH0:].clone())
-        block, diagonal, visible = (
-            of_view.block.double(),
-            of_view.diagonal.double(),
-            of_view.visible,
-        )
-        if total is not None:
-            block, diagonal = total.block + block, total.diagonal + diagonal
-            visible = total.visible | visible
-        total = FisherInformation(block, diagonal, visible)
+        block, diagonal = of_view.block.double(), of_view.diagonal.double()
+        if total is None:
+            total = FisherInformation(block, diagonal, of_view.visible)
+            continue
+        visible = total.visible | of_view.visible
+        total = FisherInformation(total.block + block, total.diagonal + diagonal, visible)
     assert total is not None, "a training has a view"
     return TrainingInformation(total, tuple(colours))
 

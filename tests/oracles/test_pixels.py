@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+from framework.errors import UserError
 from framework.kernels import rasterize
 from framework.kernels.reference import rasterize_reference
 from framework.types import Camera, Gaussians, Render
@@ -191,8 +192,8 @@ def test_offset_moves_the_footprint_and_gets_the_screen_gradient(render: Rasteri
 
 @both
 def test_a_smaller_image_is_the_mean_of_the_larger(render: Rasterizer) -> None:
-    """The smaller camera's dilation is that of a mean over 2x2 pixels; 0.3 of its own pixels would
-    blur a Gaussian of one pixel."""
+    """The smaller camera's dilation is that of a mean over 2x2 pixels. 0.3 of the larger pixels
+    would blur a Gaussian of one pixel."""
     gaussians = _gaussians([(0.005, 0.005, 2)], [0.5], [RED], scale=0.02)
     mean = render(gaussians, CAMERA).alpha.unfold(0, 2, 2).unfold(1, 2, 2).mean((-1, -2))
     small = CAMERA.scaled(2)
@@ -200,3 +201,9 @@ def test_a_smaller_image_is_the_mean_of_the_larger(render: Rasterizer) -> None:
     blurred = replace(small, dilation=0.3)
     error = float((render(gaussians, small).alpha - mean).abs().sum())
     assert error < 0.5 * float((render(gaussians, blurred).alpha - mean).abs().sum())
+
+
+@pytest.mark.parametrize("dilation", [0.0, -0.3, math.nan, math.inf])
+def test_a_camera_without_a_dilation_is_refused(dilation: float) -> None:
+    with pytest.raises(UserError, match="expected a finite dilation above 0"):
+        replace(CAMERA, dilation=dilation)
