@@ -179,7 +179,7 @@ class Terminal(Progress):
         self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
     ) -> None:
         now = self._clock()
-        self._mark(now, step)
+        self._mark(now, step, n_steps)
         if not self._due(now, step, n_steps):
             return
         self._told_at, self._told_step = now, step
@@ -196,11 +196,12 @@ class Terminal(Progress):
             parts.append(f"{speed:.{0 if speed >= 10 else 1}f} steps/s")
         self.stage(" · ".join(parts))
 
-    def _mark(self, now: float, step: int) -> None:
+    def _mark(self, now: float, step: int, n_steps: int) -> None:
         if self._marks and step <= self._marks[-1][1]:  # a new training began
             self._marks.clear()
         self._marks.append((now, step))
-        while len(self._marks) > 2 and now - self._marks[0][0] > SPEED_WINDOW_S:
+        fewest = max(2, PLAIN_SHARE * n_steps)  # so that one slow step does not decide
+        while len(self._marks) > fewest and now - self._marks[0][0] > SPEED_WINDOW_S:
             self._marks.popleft()
 
     def _speed(self) -> float | None:

@@ -46,3 +46,15 @@ def test_a_terminal_gets_one_line_in_place(monkeypatch: pytest.MonkeyPatch) -> N
     text = told(1 / 41, in_place=True)
     assert text.count("\n") == 1
     assert "step 800/800 · 0 s left · test 22.31 dB · loss 0.0412 · 39957 Gaussians" in text
+
+
+def test_one_slow_step_does_not_decide_the_time_left() -> None:
+    stream, clock = io.StringIO(), Clock(0.1)
+    line = Terminal(LABEL, stream, False, clock)
+    for step in range(1, 401):
+        if step == 301:  # a round of pruning
+            clock.now += 12
+        line.step(step, 800, 0.0412, 39957)
+    [told] = [text for text in stream.getvalue().splitlines() if "step 301/" in text]
+    left = int(told.split(" s left")[0].rsplit(" ", 1)[1])
+    assert 50 < left < 150  # 499 steps at 0.1 s; one step in 12 s would make 6,000
