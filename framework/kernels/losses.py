@@ -7,6 +7,7 @@ multiplies the render and the target, so nothing outside it leaks in; see `photo
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from framework.compute.parallel import run_blocks
+from framework.compute.parallel import run_blocks, threads
 from framework.kernels import photometric
 from framework.kernels.lending import ThreadsLender
 
@@ -45,7 +46,7 @@ class Target:
         shape = (*pixels.shape[:2], photometric.stride(pixels.shape[2]))
         mean, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         # the image is masked already: a mask of ones keeps a fractional one from counting twice
-        run_blocks(photometric.statistics, pixels, ones, mean, variance, blocks=photometric.BANDS)
+        run_blocks(photometric.statistics, pixels, ones, mean, variance, blocks=_bands())
         return Target(pixels, valid, mean, variance)
 
 
@@ -56,6 +57,16 @@ def _ones(height: int, width: int) -> np.ndarray:
 
 
 _lender = ThreadsLender()
+
+
+def _bands() -> int:
+    """Blocks of a parallel call: bands of the three channels, at least two per thread, or one per
+    channel for a single thread, because a band computes REACH rows above and below it again.
+
+    The result does not depend on it: rows are summed one by one.
+    """
+    count = threads()
+    return 3 if count == 1 else 3 * math.ceil(2 * count / 3)
 
 
 def photometric_gradient(
@@ -85,7 +96,7 @@ def photometric_gradient(
         sums[0],
         sums[1],
         gradient,
-        blocks=photometric.BANDS,
+        blocks=_bands(),
     )
     ssim, l1 = sums.sum(axis=(1, 2), dtype=np.float64) / rgb.size
     loss = np.float32((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim))

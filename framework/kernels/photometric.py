@@ -32,7 +32,6 @@ ZERO, ONE, TWO = f4(0), f4(1), f4(2)
 
 CHUNK, REACH = 16, 10  # rows that a band advances by; rows that a window of 11 reaches back
 STRIP = 8 * LANES  # columns
-BANDS = 12  # blocks of a parallel call: whole bands of each of three channels
 
 
 def stride(width: int) -> int:
