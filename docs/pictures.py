@@ -204,6 +204,32 @@ def draw_speed(out: Path) -> None:
     figure.savefig(out, dpi=100)
 
 
+def draw_before_after(out: Path) -> None:
+    """PSNR and LPIPS over CPU seconds at two commits (benchmarks/results/before_after.md)."""
+    text = (ROOT / "benchmarks" / "results" / "before_after.md").read_text("utf-8")
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    panels = figure.subplots(2, 2, sharex=True)
+    for row, part in zip(panels, text.split("\n## ")[1:3], strict=True):
+        cells = [line.strip("| ").split(" | ") for line in part.splitlines() if " | ." in line]
+        for panel, column, label in zip(row, (2, 4), ("PSNR (dB)", "LPIPS"), strict=True):
+            for commit, colour in {"ba2bb7b": GREY, "6c069b2d": GREEN}.items():
+                rows = [cell for cell in cells if cell[1] == commit]
+                x, y = ([float(cell[k]) for cell in rows] for k in (5, column))
+                panel.plot(x, y, "o-", color=colour, label=commit)
+            panel.set_xscale("log")
+            panel.set_title(part.splitlines()[0], fontsize=10)
+            panel.set_ylabel(label)
+            panel.grid(alpha=0.3)
+    panels[1, 0].plot([436], [20.50], "s", color="black", label="OpenSplat 1.2.0")
+    for panel in panels[1]:
+        panel.set_xticks(ticks := (1, 3, 10, 30, 100, 300), map(str, ticks))
+        panel.minorticks_off()
+        panel.set_xlabel("CPU seconds of training")
+    panels[0, 0].legend(loc="lower right")
+    panels[1, 0].legend(loc="center right")
+    figure.savefig(out, dpi=100)
+
+
 def draw_plugin(out: Path) -> None:
     """A plugin and what the command line makes of it, as text."""
     figure = Figure(figsize=(10.5, 2.6))
@@ -236,6 +262,7 @@ if __name__ == "__main__":
     draw_paper(IMAGES / "paper.png")
     draw_found(IMAGES / "found.png")
     draw_speed(IMAGES / "speed.png")
+    draw_before_after(IMAGES / "before_after.png")
     draw_plugin(IMAGES / "plugin.png")
     if len(sys.argv) == 3:
         animate(Path(sys.argv[1]), Path(sys.argv[2]), IMAGES / "flight.webp")
