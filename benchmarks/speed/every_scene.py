@@ -81,13 +81,14 @@ def main() -> None:
     options = parser.parse_args()
     rows = [measured(scene, options.overrides, options.runs) for scene in options.scene]
     header = ["scene", "Gaussians", "test PSNR", "worst view", *GROUPS, "all seconds"]
+    separator = ",\n"  # an expression of an f-string may hold no backslash in Python 3.11
     names = [f'`--scene "{re.sub(r"path=[^ ]+", "path=DIR", scene)}"`' for scene in options.scene]
     text = "\n".join(
         [
             "# Scenes from end to end",
             "",
             f"`python benchmarks/speed/every_scene.py --runs {options.runs}"
-            f" {' '.join(options.overrides)}` on {cpu_model()}, with {', '.join(names)}.",
+            f" {' '.join(options.overrides)}` on {cpu_model()}, with\n{separator.join(names)}.",
             "",
             *(f"| {' | '.join(cells)} |" for cells in (header, ["---", *["---:"] * 8], *rows)),
             "",

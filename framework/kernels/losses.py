@@ -7,7 +7,6 @@ multiplies the render and the target, so nothing outside it leaks in; see `photo
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,13 +59,12 @@ _lender = ThreadsLender()
 
 
 def _bands() -> int:
-    """Blocks of a parallel call: bands of the three channels, at least two per thread, or one per
-    channel for a single thread, because a band computes REACH rows above and below it again.
+    """Blocks of a parallel call, whole bands of each of three channels: three per thread, up to 12.
 
-    The result does not depend on it: rows are summed one by one.
+    A band computes some rows above and below it again, so more bands than the threads need cost
+    time. The result does not depend on them, because rows are summed one by one.
     """
-    count = threads()
-    return 3 if count == 1 else 3 * math.ceil(2 * count / 3)
+    return min(3 * threads(), 12)
 
 
 def photometric_gradient(
