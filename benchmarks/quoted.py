@@ -3,9 +3,8 @@
     SAFI gains <!-- = gain("paper_fern", "SAFI") -->0.45 dB (0.19 to 0.70)<!-- --> on fern.
 
 A mark holds a Jinja expression. Its value follows, up to a closing mark. Pages do not show marks
-when they are rendered. Expressions may use `gain`, `loss`, `sigma_ratio`, `mean`, `acted` and
-`round`. Methods have the name of the report or of the command line. The statistics are those of
-`framework.report`.
+when they are rendered. Expressions may use the functions of `LANGUAGE`. Methods have the name of
+the report or of the command line. The statistics are those of `framework.report`.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined, TemplateError
 
 from fishersplat import UserError, load_study
-from framework.report.findings import Findings, find
+from framework.report.findings import Findings, find, largest_effect
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import format_significant
 from framework.report.study.collect import collect
@@ -93,6 +92,25 @@ def loss(study: str, method: str, over: str = "", on: str = "", corrected: bool 
     return -gain(study, method, over, on, corrected)
 
 
+def between(study: str, method: str) -> Gain:
+    """The gain in PSNR over the other capacity of the same method."""
+    for contest in _findings(study).contests:
+        c = contest.comparison
+        gain = Gain(c.difference, c.joint, corrected=True)
+        if c.method.is_called(method):
+            return gain
+        if c.baseline.is_called(method):
+            return -gain
+    raise ValueError(f"expected a method with two capacities, got {method}")
+
+
+def possible(study: str, method: str) -> str:
+    """The largest effect that a stress study does not exclude at any strength, as `1.1 dB`."""
+    limits = [limit for limit in _findings(study).limits if limit.method.is_called(method)]
+    effect = largest_effect(interval for limit in limits for _, interval in limit.gains)
+    return f"{format_significant(effect)} dB"
+
+
 def sigma_ratio(study: str, method: str, over: str = "") -> str:
     """The ratio of the standard deviations over seeds, as `1.01 (0.77 to 1.31)`."""
     sigmas = _findings(study, over).outcomes.sigmas
@@ -125,10 +143,15 @@ def _of(results: Mapping[Method, T], method: str) -> T:
 
 @functools.cache
 def means(study: str, scene: str = "") -> pd.DataFrame:
-    """Mean over seeds and then scenes, or on one scene; a row for each method."""
+    """Mean over seeds and then scenes; a row for each method.
+
+    Args:
+        scene: only this one, or those of a data set, as `llff`.
+    """
     runs = _runs(study)
     if scene:
-        runs = runs[runs["scene"] == scene]
+        names = runs["scene"]
+        runs = runs[(names == scene) | names.str.startswith(f"{scene}_")]
     numbers = runs.groupby(["method", "scene"]).mean(numeric_only=True)
     return numbers.groupby("method").mean()
 
@@ -175,4 +198,6 @@ def _decimals(number: float) -> str:
 
 
 LANGUAGE = Environment(undefined=StrictUndefined, autoescape=False)
-LANGUAGE.globals = {f.__name__: f for f in (gain, loss, sigma_ratio, mean, acted, round)}
+LANGUAGE.globals = {
+    f.__name__: f for f in (gain, loss, between, possible, sigma_ratio, mean, acted, round)
+}

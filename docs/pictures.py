@@ -17,8 +17,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 from PIL import Image
 from scipy import stats
 
@@ -33,6 +35,10 @@ PRESETS = {  # method of study `speed` -> display name
     "Baseline, kept=1, steps=150": "fast",
     "Baseline, kept=1, steps=600": "balanced",
     "Baseline, kept=1, steps=2400": "best",
+}
+FULL_SIZE = {  # method of study `depth` -> display name
+    "Baseline, steps=600": "balanced",
+    "Baseline, steps=2400": "best",
 }
 METHODS = {  # (augmenter, regularizer) in the records -> display name, in the order of the charts
     ("none", "uniform"): "Uniform dropout",
@@ -204,6 +210,43 @@ def draw_speed(out: Path) -> None:
     figure.savefig(out, dpi=100)
 
 
+def draw_size(out: Path) -> None:
+    """PSNR and LPIPS over the Gaussians on LLFF with three photos, next to published values."""
+    rows = pd.read_csv(ROOT / "benchmarks" / "results" / "published_size.csv")
+    over_eight = rows["scene"] == "mean of 8"
+    published = rows[~over_eight].groupby("method").mean(numeric_only=True)
+    ours = quoted.means("depth", "llff").loc[list(FULL_SIZE)].rename(FULL_SIZE)
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    panels = figure.subplots(1, 2)
+    metrics = {"psnr": "PSNR (dB)", "lpips_01": "LPIPS"}
+    crowded = {"ReDI-GS": (7, 6), "Binocular3DGS": (7, -12)}  # places of names next to others
+    for panel, (metric, label) in zip(panels, metrics.items(), strict=True):
+        for points, style, name in (
+            (ours.sort_values("gaussians"), {"marker": "o", "color": GREEN}, "fishersplat"),
+            (published, {"marker": "s", "color": GREY, "ls": ""}, "published, same four scenes"),
+            (
+                rows[over_eight].set_index("method"),
+                {"marker": "D", "color": GREY, "ls": "", "markerfacecolor": "white"},
+                "published, mean of eight scenes",
+            ),
+        ):
+            known = points.dropna(subset=metric)
+            panel.plot(known["gaussians"], known[metric], label=name, **style)
+            for text, point in known.iterrows():
+                place = point["gaussians"], point[metric]
+                aside = crowded.get(text, (7, -3))
+                panel.annotate(text, place, aside, textcoords="offset points", fontsize=8)
+        panel.set_xlabel("Gaussians")
+        panel.set_ylabel(label)
+        panel.set_xlim(0, 140_000)
+        panel.xaxis.set_major_locator(MultipleLocator(40_000))
+        panel.xaxis.set_major_formatter("{x:,.0f}")
+        panel.margins(y=0.12)
+        panel.grid(alpha=0.3)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.savefig(out, dpi=100)
+
+
 def draw_before_after(out: Path) -> None:
     """PSNR and LPIPS over CPU seconds at two commits (benchmarks/results/before_after.md)."""
     text = (ROOT / "benchmarks" / "results" / "before_after.md").read_text("utf-8")
@@ -262,6 +305,7 @@ if __name__ == "__main__":
     draw_paper(IMAGES / "paper.png")
     draw_found(IMAGES / "found.png")
     draw_speed(IMAGES / "speed.png")
+    draw_size(IMAGES / "published_size.png")
     draw_before_after(IMAGES / "before_after.png")
     draw_plugin(IMAGES / "plugin.png")
     if len(sys.argv) == 3:

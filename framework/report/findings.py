@@ -16,9 +16,15 @@ from framework.report.costs import Cheapest, Choice, cheapest, choices, one_mach
 from framework.report.statistics.compare import Comparison, compare, corrected
 from framework.report.statistics.estimates import Estimate, Interval
 from framework.report.statistics.numbers import average
-from framework.report.statistics.outcomes import Outcomes, by_pair, outcomes
+from framework.report.statistics.outcomes import (
+    Outcomes,
+    better_everywhere,
+    by_pair,
+    outcomes,
+)
 from framework.report.statistics.variance import SigmaComparison
 from framework.report.study.methods import PLAIN, Method
+from framework.report.study.notes import without_psnr
 from framework.report.study.plugins import papers
 from framework.report.study.scenes import CHOSE, HELPED, TESTS, YOURS, role
 from framework.report.study.study import ReportRun, Study
@@ -201,6 +207,11 @@ class Findings:
         return [idle for m, scene in cells for idle in _idle(m, scene, study.of(scene, m))]
 
     @property
+    def lost(self) -> int:
+        """The number of runs of the recommended method that have no finite PSNR."""
+        return without_psnr(self.study).get(self.outcomes.best, 0)
+
+    @property
     def doubted(self) -> list[str]:
         """Scenes whose poses failed the check by stereo."""
         return sorted({run.scene for run in self.study.runs if run.poses_doubtful})
@@ -281,12 +292,12 @@ def _of_baseline(study: Study, outcomes: Outcomes) -> Verdict:
     """Why the baseline is advised."""
     gains = [c for c in outcomes.comparisons.values() if c.significant and c.difference > 0]
     over = tuple(c.method for c in gains if c.baseline == study.baseline)
-    complete = tuple(method for method in over if method in outcomes.psnr)
+    complete = tuple(c.method for c in gains if c.method in over and better_everywhere(study, c))
     if complete:
         return Verdict("not over every baseline", study.baseline, others=complete)
     if over:
         return Verdict("not on all scenes", study.baseline, others=over)
-    if study.rival:
+    if study.rival or (not study.has_plain and len(study.families) > 1):
         return Verdict("rival", study.baseline)
     return Verdict("own baselines" if gains else "baseline", study.baseline)
 

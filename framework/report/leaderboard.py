@@ -35,6 +35,7 @@ from framework.report.statistics.numbers import (
     format_p,
 )
 from framework.report.statistics.outcomes import Outcomes, outcomes, seed_means
+from framework.report.stress import panels
 from framework.report.study.collect import collect, holds_run, walked
 from framework.report.study.methods import Method, learned_footnote
 from framework.report.study.study import Study
@@ -152,6 +153,8 @@ def _left_out(study: Study) -> str:
         return "no run of it finished"
     if study.searched is not None:
         return "the trials of a search, which were made to choose options"
+    if panels(study):
+        return "a stress study, whose differences depend on the strength; see its report"
     held = sorted({run.protocol for run in study.runs if run.protocol.endswith(HELD_OUT)})
     return f"evaluated on training photos (scene.split={outside(held[0])})" if held else ""
 

@@ -92,13 +92,15 @@ class Result:
     """A value of the table of results: mean ± sigma over seeds, with fixed decimals.
 
     Attributes:
-        rank: 1 for the best of its column, 2 for the second.
+        rank: 1 for the best of its column, 2 for the second; 0 of a single seed where others have more.
+        fewer: its number of seeds, if other results of the table have more, else 0.
     """
 
     mean: float
     sigma: float | None
     places: int
     rank: int = 0
+    fewer: int = 0
 
     @property
     def text(self) -> str:
@@ -108,8 +110,13 @@ class Result:
     def sigma_text(self) -> str:
         return "" if self.sigma is None else f"{self.sigma:.{self.places}f}"
 
+    @property
+    def seeds_text(self) -> str:
+        return f" (n = {self.fewer})" if self.fewer else ""
+
     def __str__(self) -> str:
-        return f"{self.text} ± {self.sigma_text}" if self.sigma_text else self.text
+        spread = f" ± {self.sigma_text}" if self.sigma_text else ""
+        return f"{self.text}{spread}{self.seeds_text}"
 
 
 Cell = str | Link | Method | Result
@@ -142,7 +149,15 @@ def without(rows: Sequence[Row], *headings: str) -> list[Row]:
 def results(study: Study) -> dict[Method, dict[str, Result | None]]:
     """Method -> metric -> result, of the mean over the tested scenes for seeds with all of them."""
     metrics = [metric for metric in PLACES if metric in measured(study)]
-    columns = {metric: _results(study, metric) for metric in metrics}
+    seeds = {
+        metric: {
+            method: list(seed_means(study.of(method=method), study.tested, metric).values())
+            for method in study.methods
+        }
+        for metric in metrics
+    }
+    most = max((len(v) for column in seeds.values() for v in column.values()), default=0)
+    columns = {metric: _results(seeds[metric], metric, most) for metric in metrics}
     return {
         method: {metric: columns[metric].get(method) for metric in metrics}
         for method in study.methods
@@ -157,16 +172,20 @@ def results_rows(results: Mapping[Method, Mapping[str, Result | None]]) -> list[
     ]
 
 
-def _results(study: Study, metric: str) -> dict[Method, Result]:
+def _results(
+    seeds: Mapping[Method, Sequence[float]], metric: str, most: int
+) -> dict[Method, Result]:
     column: dict[Method, Result] = {}
-    for method in study.methods:
-        values = list(seed_means(study.of(method=method), study.tested, metric).values())
+    for method, values in seeds.items():
         if values:
             sigma = float(np.std(values, ddof=1)) if len(values) > 1 else None
-            column[method] = Result(float(np.mean(values)), sigma, PLACES[metric])
-    order = sorted({float(r.text) for r in column.values()}, reverse=metric not in LOWER)
-    ranks = {value: k + 1 for k, value in enumerate(order[:2])} if len(column) > 1 else {}
-    return {m: replace(r, rank=ranks.get(float(r.text), 0)) for m, r in column.items()}
+            fewer = len(values) if len(values) < most else 0
+            column[method] = Result(float(np.mean(values)), sigma, PLACES[metric], fewer=fewer)
+    full = [m for m, values in seeds.items() if len(values) > 1 or 0 < len(values) == most]
+    order = sorted({float(column[m].text) for m in full}, reverse=metric not in LOWER)
+    ranks = {value: k + 1 for k, value in enumerate(order[:2])} if len(full) > 1 else {}
+    ranked = {m: replace(column[m], rank=ranks.get(float(column[m].text), 0)) for m in full}
+    return column | ranked
 
 
 def main_rows(study: Study, scenes: Sequence[str]) -> list[Row]:

@@ -47,15 +47,19 @@ def test_methods_over_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_searches_are_no_studies(tmp_path: Path) -> None:
-    """Nor are runs that were evaluated on training photos: both were made to choose options."""
+    """Nor are runs that were evaluated on training photos: both were made to choose options. The
+    differences of a stress study depend on its strength."""
     searched = tmp_path / "searched"
     for folder, condition in ((searched, {}), (tmp_path / "held", {"split": "llff_held_out"})):
         for seed in range(2):
             fake_run(folder, seed=seed, condition=condition, run_name=f"{seed}")
+    for views in (2, 3, 4):
+        fake_run(tmp_path / "stress", condition={"n_views": views}, run_name=f"{views}")
     actual = '{"metric": "psnr", "fixed": [], "trials": []}'
     (searched / SEARCH).write_text(actual, encoding="utf-8")
     path, studies, _ = leaderboard(tmp_path, tmp_path)
     text = path.read_text(encoding="utf-8")
+    assert "| a stress study, whose differences depend on the strength" in text
     assert studies == 0 and "the trials of a search" in text
     assert "evaluated on training photos (scene.split=llff_held_out)" in text
 

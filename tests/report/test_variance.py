@@ -56,13 +56,20 @@ def test_of_seeds_that_move_as_one_the_ratio_is_nearly_known() -> None:
     assert 0.499 < actual.interval.low < 0.5 < actual.interval.high < 0.501
 
 
+@pytest.mark.parametrize(("n", "least"), [(3, 2 / 6), (4, 2 / 24), (5, 2 / 120)])
+def test_few_ranks_are_tested_over_all_permutations(n: int, least: float) -> None:
+    a = 0.001 * stream(0, "few").standard_normal(n)
+    actual = compare_sigmas("a", by_seed(a), "b", by_seed(range(n)))
+    assert actual is not None and actual.p == pytest.approx(least)
+
+
 @pytest.mark.parametrize("paired", [True, False])
 @pytest.mark.parametrize("n", [3, 10])
 def test_the_detectable_ratio_is_found_in_four_of_five_studies(n: int, paired: bool) -> None:
     """The tests themselves find it, on other draws than those of the simulation."""
     rho = 0.6 if paired else None
     lowest = detectable(n, n, 1, rho)
-    if n == 3 and not paired:
+    if n == 3:
         assert lowest is None
         return
     assert lowest is not None
@@ -82,7 +89,8 @@ def test_the_detectable_ratio_is_found_in_four_of_five_studies(n: int, paired: b
 
 def test_degenerate_deviations() -> None:
     assert compare_sigmas("a", by_seed([1.0, 2.0]), "b", by_seed([1.0, 2.0, 3.0])) is None
-    alike = compare_sigmas("a", by_seed([1.0, 2.0, 4.0]), "b", by_seed([2.0, 4.0, 8.0]))
+    values = 1.0, 2.0, 4.0, 7.0, 9.0
+    alike = compare_sigmas("a", by_seed(values), "b", by_seed([2 * v for v in values]))
     assert alike is not None and alike.p < 0.05 and alike.ratio == pytest.approx(0.5)
 
 

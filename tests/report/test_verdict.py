@@ -12,7 +12,7 @@ from framework.report.figures.views import choose_views
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run
-from tests.report.studies import first_screen, labelled
+from tests.report.studies import first_screen, labelled, row, table
 
 GAINS = {("none", "none"): 0.0, ("none", "uar"): 1.0, ("safi", "none"): 1.6}
 ALL = {"n_views": "all", "split": "none"}
@@ -65,6 +65,44 @@ def test_one_method_is_nothing_to_compare_and_the_baseline_is_a_command(tmp_path
     assert "Cost of a training: SAFI + UAR" in text
     fake_run(tmp_path / "plain")
     assert "method=baseline" not in first_screen(tmp_path / "plain")
+
+
+def test_a_method_that_lacks_seeds_on_a_scene_is_not_advised(tmp_path: Path) -> None:
+    gains = {"a": 1.0, "b": 1.0, "c": -5.0}
+    rows = [
+        row(scene, method, seed, 20 + (gain if method == "safi + none" else 0))
+        for scene, gain in gains.items()
+        for method in ("none + none", "safi + none")
+        for seed in (range(3) if scene != "c" else [0])
+    ]
+    text = first_screen(table(tmp_path / "study", rows))
+    assert "significantly better where compared, but lacks scenes or seeds.**" in text
+
+
+def test_without_a_baseline_the_first_method_is_not_advised(tmp_path: Path) -> None:
+    write(tmp_path / "study", {"full_set": 0.0, "safi": 0.01}, 2)
+    text = first_screen(tmp_path / "study")
+    assert "**No method is significantly better than Full set on embedded. To add the" in text
+
+
+def test_runs_without_a_psnr_are_counted(tmp_path: Path) -> None:
+    rows = [
+        row("a", method, seed, "" if seed > 2 and gain else 20 + gain)
+        for method, gain in {"none + none": 0, "safi + none": 1}.items()
+        for seed in range(5)
+    ]
+    text = first_screen(table(tmp_path / "study", rows))
+    assert "Caution: 2 of 5 runs of SAFI have no finite PSNR.**" in text
+    assert "2 of 5 runs of SAFI have no finite PSNR, so they are in no mean" in text
+
+
+def test_results_of_fewer_seeds_say_so_and_have_no_rank(tmp_path: Path) -> None:
+    rows = [row("a", "none + none", seed, 20) for seed in range(3)]
+    rows += [row("a", "dba + none", seed, 21) for seed in range(3)]
+    rows += [row("a", "safi + none", 0, 22)]
+    page = build_report(table(tmp_path / "study", rows)).path.read_text(encoding="utf-8")
+    cells = [line.split("|")[2].strip() for line in page.splitlines() if line.startswith("| ")][1:]
+    assert cells[1].startswith("**21.0") and cells[2].endswith("(n = 1)") and "<u>" not in cells[2]
 
 
 def test_single_runs_and_strangers_are_no_evidence(tmp_path: Path) -> None:

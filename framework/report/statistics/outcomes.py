@@ -70,11 +70,11 @@ def _best(
 ) -> Method:
     """Choose the method to use.
 
-    It is the best of the methods that are significantly better than their baseline and than every
-    other method's baseline, which may have another budget or other options. Without one it is the
-    study's baseline.
+    It is the best of the methods that are significantly better, on all scenes, than their baseline
+    and than every other method's baseline, which may have another budget or other options. Without
+    one it is the study's baseline.
     """
-    better = [m for m, c in comparisons.items() if c.significant and c.difference > 0 and m in psnr]
+    better = [m for m, c in comparisons.items() if better_everywhere(study, c) and m in psnr]
     if not better:
         return study.methods[0] if study.methods else PLAIN
     values = {method: by_pair(study.of(method=method)) for method in study.methods}
@@ -91,6 +91,11 @@ def _best(
             # all above the study's baseline, so that no one gains by the seeds that it has
             gains[method] = over.get(study.baseline, comparisons[method]).difference
     return max(gains, key=lambda method: gains[method], default=study.baseline)
+
+
+def better_everywhere(study: Study, c: Comparison) -> bool:
+    """Whether the method is significantly better, with seeds that it has on every scene."""
+    return c.significant and c.difference > 0 and len(c.scenes) == len(study.tested)
 
 
 def seed_means(

@@ -88,7 +88,7 @@ def code_versions(sources: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """Name -> number of versions of the code, or of a plugin, if there are several."""
     versions = defaultdict[str, set[str]](set)
     for p in sources:
-        versions["the code"].add(str(p.get("code")))
+        versions["the code"].add(str(p.get("code") or p.get("git")))
         for name, digest in (p.get("plugins") or {}).items():
             versions[code(name)].add(digest)
     return {name: len(digests) for name, digests in versions.items() if len(digests) > 1}
@@ -121,6 +121,22 @@ def exposures(study: Study) -> list[tuple[str, list[float]]]:
         if percent:
             scenes.append((scene, sorted(percent)))
     return scenes
+
+
+def shared_errors(study: Study) -> list[str]:
+    """What was made wrong on purpose, by the same random draw for all seeds: depth, poses."""
+    configs = [run.record.config for run in study.runs]
+    depths = [c.get("depth") or {} for c in configs]
+    seeds = {d.get("corruption_seed") for d in depths if d.get("strength")}
+    noisy = any((c.get("scene") or {}).get("pose_noise") for c in configs)
+    return (["depth"] if len(seeds) == 1 else []) + (["poses"] if noisy else [])
+
+
+def without_psnr(study: Study) -> dict[Method, int]:
+    """Method -> number of its runs on tested scenes without a finite PSNR."""
+    tested = [run for scene in study.tested for run in study.of(scene)]
+    lacking = [run for run in tested if run.mean("psnr") is None]
+    return {method: len(runs) for method, runs in grouped(lacking, lambda r: r.method).items()}
 
 
 def untested(study: Study) -> list[str]:
