@@ -1,5 +1,6 @@
 """The entry point: `python run.py +augment=safi +reg=uar seed=0,1,2 -m`; `--help` explains it."""
 
+import shlex
 import sys
 
 NEEDED = "torch", "numba", "hydra", "omegaconf", "cv2", "scipy", "pandas", "matplotlib"
@@ -23,7 +24,7 @@ if __name__ == "__main__":
         check_python()
         from framework.command.entry import command
 
-        command(sys.argv[1:])
+        command(sys.argv[1:], f"python {shlex.quote(sys.argv[0])}")
     except KeyboardInterrupt:  # while modules are imported; later on it is caught inside
         print("error: interrupted", file=sys.stderr)
         sys.exit(130)

@@ -35,7 +35,6 @@ from framework.command.config.naming import plain, register_resolvers, study_nam
 from framework.command.config.schema import CONF_DIR, register_config
 from framework.command.launchers.supported import register_launchers
 from framework.command.overrides import check_utf8, normalise, only_informs, parse_flags
-from framework.command.program import program, take_flag
 from framework.command.runner import Job
 from framework.command.studies.failures import again, conclude, record_failure
 from framework.command.studies.study import (
@@ -49,6 +48,7 @@ from framework.command.studies.study import (
 from framework.command.subcommands import run_subcommand, subcommand_of
 from framework.compute.orphans import end_with_parent
 from framework.errors import UserError, machine_line, printable_line
+from framework.files.program import program, take_flag
 from framework.records.progress import unread
 
 IN_ALL_LINES = ("augment=", "reg=", "seed=")  # in the progress lines of every run

@@ -26,9 +26,9 @@ from omegaconf.errors import (
 from framework.command.config.check import hint
 from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS
 from framework.command.launchers.supported import LAUNCHERS, missing_extra, package_of
-from framework.command.program import program
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
 from framework.files.paths import OWN_VARIABLE
+from framework.files.program import program
 from framework.registry import SWEPT
 
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)

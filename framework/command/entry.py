@@ -28,9 +28,9 @@ def command(argv: list[str], name: str = "python run.py") -> None:
 
 def _run(argv: list[str], name: str) -> int:
     """Return the exit code of a command line."""
-    from framework.command.program import set_program
     from framework.errors import memory_line
     from framework.files.limits import check_address_space
+    from framework.files.program import set_program
 
     set_program(name)
     make_safe()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 from collections.abc import Sequence
 
-from framework.command.program import program
 from framework.errors import UserError, nearest_hint
+from framework.files.program import program
 
 # name -> (module with `main(arguments, prog) -> exit code`, what it does in two words). The modules
 # are light to import and use argparse; `framework.command.cli.main` prints what they raise.

@@ -23,6 +23,7 @@ from framework.report.statistics.outcomes import (
     outcomes,
 )
 from framework.report.statistics.variance import SigmaComparison
+from framework.report.study.baseline import baseline_commands
 from framework.report.study.methods import PLAIN, Method
 from framework.report.study.notes import without_psnr
 from framework.report.study.plugins import papers
@@ -31,7 +32,6 @@ from framework.report.study.study import ReportRun, Study
 
 ACTED, ENOUGH = "acted_share", 0.5  # of a method's dose; a smaller share was hardly tested
 T = TypeVar("T")
-METHOD_WORDS = ("method", "augment", "reg", "seed", "study")  # that another command replaces
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,11 @@ class Findings:
     def advised_budgets(self) -> list[Choice]:
         """The choices by time of a single scene, for the verdict."""
         limited = any(run.method.limits for run in self.study.runs)
-        return next(iter(self.choices.values())) if limited and len(self.study.tested) == 1 else []
+        if not limited or len(self.study.tested) != 1:
+            return []
+        family = self.outcomes.best.family
+        every = next(iter(self.choices.values()))
+        return [c for c in every if c.entry is None or c.entry.method.family == family]
 
     @property
     def timed(self) -> bool:
@@ -227,20 +231,11 @@ class Findings:
         several = any(limit.against != self.study.baseline for limit in self.limits)
         return "the baseline of the same options" if several else self.study.baseline.name
 
-    @property
-    def baseline_command(self) -> str:
-        """The command that adds plain training to the study, from the command line of one of its
-        runs; "" if it is there."""
-        if self.study.has_plain:
-            return ""
-        run = self.study.runs[0]
-        words = [word.lstrip("+") for word in run.record.overrides]
-        kept = [w for w in words if w.partition("=")[0].partition(".")[0] not in METHOD_WORDS]
-        seeds = ",".join(str(seed) for seed in sorted({run.seed for run in self.study.runs}))
-        folder = run.run.run_dir.parent.parent.resolve().name
-        return " ".join(
-            ["fishersplat", "method=baseline", *kept, f"seed={seeds}", f"study={folder}", "-m"]
-        )
+    @cached_property
+    def baseline_commands(self) -> list[str]:
+        """The commands that add plain training where the study lacks it, from the command lines of
+        its runs."""
+        return baseline_commands(self.study)
 
     @property
     def papers(self) -> list[str]:
@@ -281,6 +276,8 @@ def _verdict(study: Study, outcomes: Outcomes) -> Verdict:
     of_highest = outcomes.comparisons.get(highest)
     if not outcomes.comparisons:
         return Verdict("no pairs", highest, spread=outcomes.psnr[highest])
+    if study.has_plain and study.baseline not in outcomes.psnr:
+        return Verdict("incomplete")
     if all(c.joint is None for c in outcomes.comparisons.values()):
         return Verdict("single runs", highest, of_highest, spread=outcomes.psnr[highest])
     if outcomes.best != study.baseline:

@@ -92,7 +92,7 @@ class Result:
     """A value of the table of results: mean ± sigma over seeds, with fixed decimals.
 
     Attributes:
-        rank: 1 for the best of its column, 2 for the second; 0 of a single seed where others have more.
+        rank: 1 for the best of its column, 2 for the second; 0 of one seed if others have more.
         fewer: its number of seeds, if other results of the table have more, else 0.
     """
 

@@ -7,7 +7,6 @@ not end the study. With `hydra.launcher.detach=true` (`study submit`) the comman
 from __future__ import annotations
 
 import os
-import shlex
 import shutil
 import signal
 import time
@@ -33,8 +32,8 @@ from framework.command.launchers.submission import (
     read_submission,
     work,
 )
-from framework.command.program import plugin_flags, program
 from framework.command.studies.study import Outcome
+from framework.files.program import command_line
 
 ARRAY = 1000  # jobs of one array; SLURM's own limit is 1001 unless it was changed
 POLL_S = 0.2
@@ -159,5 +158,5 @@ def _command(overrides: Any) -> str:
     """The command that submits this study again."""
     words = [*overrides.hydra, *overrides.task]
     left_out = ("hydra.launcher.detach=true", "hydra.mode=MULTIRUN")
-    typed = shlex.join(word for word in words if word not in left_out)
-    return " ".join([*plugin_flags(), f"{program()} study submit {typed}"])
+    typed = [word for word in words if word not in left_out]
+    return command_line(["study", "submit", *typed])

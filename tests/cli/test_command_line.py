@@ -103,12 +103,12 @@ def test_a_failing_run_is_recorded_and_the_others_go_on(
     assert first.startswith("error: 1 of 3 runs failed; the same command repeats them")
     assert head.split() == ["run", "kind", "reason"]
     assert row == f"  {folder}  bad input  {reason}"
-    assert again == "    python run.py seed=1 -m"
+    assert again == "    fishersplat seed=1 -m"
     assert "report: reports/embedded/report.md" in message.out
     record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
     assert (record["status"], record["error"]) == ("failed", reason)
     runs.failures.clear()
-    assert main(again.split()[2:]) == 0 and runs.folders[-1] == folder
+    assert main(again.split()[1:]) == 0 and runs.folders[-1] == folder
 
 
 def test_a_bug_shows_its_traceback_and_exits_with_1(
@@ -127,7 +127,7 @@ def test_an_interrupt_is_one_line(runs: FakeRuns, capsys: pytest.CaptureFixture[
     assert main(["seed=0,1,2", "-m"]) == 130
     assert len(runs.seen) == 2
     assert capsys.readouterr().err.splitlines() == [
-        "error: interrupted; results are kept, continue with: python run.py seed=0,1,2 -m"
+        "error: interrupted; results are kept, continue with: fishersplat seed=0,1,2 -m"
     ]
 
 

@@ -68,10 +68,10 @@ def test_ctrl_c_while_modules_are_imported_is_one_line(
 ) -> None:
     class Interrupting:
         def find_spec(self, name: str, *_: object) -> None:
-            if name == "framework.command.program":
+            if name == "framework.files.program":
                 raise KeyboardInterrupt
 
-    monkeypatch.delitem(sys.modules, "framework.command.program")
+    monkeypatch.delitem(sys.modules, "framework.files.program")
     monkeypatch.setattr(sys, "meta_path", [Interrupting(), *sys.meta_path])
     with pytest.raises(SystemExit) as ended:
         command(["--version"])

@@ -72,7 +72,7 @@ CASES = {
     "reg=[uar,uniform] reg.uar.q=3": ["reg.uar.q: unknown option of reg=uar; "],
     "reg=[uar,uniform] reg.p=0.3": ["reg.p: unknown option of reg; with several plugins"],
     "seed=0,1": ["seed: expected one value, got several (0,1); add -m to make a run of each"],
-    "scene.width=64 seed=0,1 study=x": [": python run.py scene.width=64 seed=0,1 study=x -m"],
+    "scene.width=64 seed=0,1 study=x": [": fishersplat scene.width=64 seed=0,1 study=x -m"],
     "estimate=true": ["estimate: expected a study, whose duration it estimates"],
     "~reg": ["reg: expected a choice, got none; write reg=NAME"],
     "scene.path=photos": ["; for a folder of photos add scene=photos"],

@@ -186,7 +186,7 @@ def test_submitted_polled_collected(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "of 1 runs done" in done.stdout and "report: " not in done.stdout
     again = "study submit hydra.launcher.n_jobs=1 hydra/launcher=submitit_local threads=1"
-    assert f"\npython run.py {again}" in done.stdout
+    assert f"\npython {ROOT / 'run.py'} {again}" in done.stdout
     wait_for((tmp_path / "reports" / "far" / "report.md").exists)
     message = command(tmp_path, "study status")
     assert "all ended, 1 of 1 runs done, 0 failed" in message.stdout

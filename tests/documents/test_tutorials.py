@@ -9,7 +9,7 @@ import pytest
 
 from framework.command.cli import main
 from framework.command.config.schema import ROOT
-from framework.command.program import take_flag
+from framework.files.program import take_flag
 from tests.documents.pages import Block, blocks, quick, tutorials, words_of
 from tests.documents.registered import as_before
 

@@ -28,8 +28,8 @@ from framework.command.config.schema import (
     SWEEPS_DIR,
     choices,
 )
-from framework.command.program import program
 from framework.command.subcommands import SUBCOMMANDS
+from framework.files.program import program
 from framework.options import TrainerOptions
 from framework.registry import parts_of
 

@@ -15,11 +15,11 @@ from pathlib import Path
 
 from framework.command.launchers.submission import Submission, read_submission, submissions
 from framework.command.launchers.supported import missing_extra
-from framework.command.program import plugin_flags
 from framework.command.studies.closing import short_path
 from framework.command.studies.failures import conclude
 from framework.command.studies.study import JOBS_VARIABLE, add_outcome, build_reports, ledger
 from framework.errors import Arguments, UserError, printable_line, require
+from framework.files.program import plugin_flags
 from framework.records.progress import say
 
 LAUNCHERS = ("submitit_local", "submitit_slurm")

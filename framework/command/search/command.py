@@ -21,13 +21,13 @@ from typing import Any
 from framework.command.config.naming import study_dir
 from framework.command.config.schema import register_config
 from framework.command.overrides import normalise
-from framework.command.program import program
 from framework.command.search.driver import JUDGES, Search, run_search
 from framework.command.search.space import space_of
 from framework.command.search.trial import job_of
 from framework.command.studies.study import short_path
 from framework.errors import Arguments, require
 from framework.files.locks import locked
+from framework.files.program import command_line
 from framework.records.progress import say
 from framework.scenes import HELD_OUT, UNTESTED, untested
 
@@ -126,7 +126,7 @@ def _conclude(search: Search, best: list[str] | None, prog: str) -> int:
     say(f"best: {shlex.join(best)}")
     say(
         "evaluate it once, on scenes that the search did not use, for instance:"
-        f" {program()} {shlex.join(to_judge(search.fixed, best))} -m"
+        f" {command_line([*to_judge(search.fixed, best), '-m'])}"
     )
     return 0
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from framework.command.config.composed import configuration
-from framework.command.program import program
 from framework.command.runner import Job
 from framework.command.studies.failures import record_failure
 from framework.compute.orphans import end_with_parent
 from framework.errors import UserError, printable_line
+from framework.files.program import command_line
 from framework.metrics.values import Missing
 from framework.records.progress import Silent, say
 
@@ -64,7 +64,7 @@ def job_of(words: Sequence[str]) -> Job:
         label="",
         alone=False,
         multirun=True,
-        again=f"{program()} {' '.join(words)}",
+        again=command_line(words),
     )
 
 

@@ -6,8 +6,8 @@ import re
 import shlex
 from pathlib import Path
 
-from framework.command.program import program
 from framework.errors import printable_line
+from framework.files.program import program
 from framework.records import RUN_FOLDERS
 from framework.records.record import RECORD
 

@@ -7,7 +7,6 @@ and below it the command that does this run alone. For a single run it is the re
 from __future__ import annotations
 
 import contextlib
-import shlex
 import shutil
 import sys
 import traceback
@@ -16,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from framework.command.complaints import USER_ERRORS, one_line, with_variant
-from framework.command.program import plugin_flags, program
 from framework.command.runner import Job
 from framework.command.studies.closing import short_path
 from framework.command.studies.study import (
@@ -28,6 +26,7 @@ from framework.command.studies.study import (
 )
 from framework.errors import UserError, machine_line, mendable
 from framework.files.locks import Busy
+from framework.files.program import command_line
 from framework.records import RUN_FOLDERS
 
 MOST_ROWS = 20
@@ -74,7 +73,7 @@ def again(job: Any) -> str:
     flags = [str(o) for o in job.overrides.hydra if not str(o).lstrip("+").startswith(LAUNCHING)]
     words = [*flags, *(str(override) for override in job.overrides.task)]
     multirun = ["-m"] if job.mode.name == "MULTIRUN" else []
-    return f"{program()} {shlex.join([*words, *plugin_flags(), *multirun])}"
+    return command_line([*words, *multirun])
 
 
 def conclude() -> int:

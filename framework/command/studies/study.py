@@ -29,7 +29,6 @@ from framework.command.config.naming import plain, study_dir
 from framework.command.hydra_inside import jobs_of, skip_second_check
 from framework.command.launchers.supported import watch_workers
 from framework.command.overrides import check_method, parsed
-from framework.command.program import program
 from framework.command.studies.closing import closing, short_path
 from framework.command.studies.estimate import announce
 from framework.command.studies.ready import check_links, check_ready
@@ -37,6 +36,7 @@ from framework.compute.stopwatch import Stopwatch, duration
 from framework.errors import UserError, machine_line, printable_line, require
 from framework.files.cache import cache_dir, usable
 from framework.files.locks import locked
+from framework.files.program import program
 from framework.files.whole import remove_temporaries, write_whole
 from framework.records.progress import say
 

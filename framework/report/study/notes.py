@@ -127,7 +127,8 @@ def shared_errors(study: Study) -> list[str]:
     """What was made wrong on purpose, by the same random draw for all seeds: depth, poses."""
     configs = [run.record.config for run in study.runs]
     depths = [c.get("depth") or {} for c in configs]
-    seeds = {d.get("corruption_seed") for d in depths if d.get("strength")}
+    wrong = [d for d in depths if d.get("strength") and d.get("corruption", "none") != "none"]
+    seeds = {d.get("corruption_seed") for d in wrong}
     noisy = any((c.get("scene") or {}).get("pose_noise") for c in configs)
     return (["depth"] if len(seeds) == 1 else []) + (["poses"] if noisy else [])
 

@@ -8,6 +8,7 @@ too. A plugin is code, so only the command line may name its folder.
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,18 +16,22 @@ from framework.errors import require
 from framework.files.paths import OWN_VARIABLE
 
 VARIABLE = "FISHERSPLAT_PROGRAM"
-CONSOLE, SCRIPT = "fishersplat", "python run.py"
 FLAG = "--plugins"
 
 
 def program() -> str:
-    """Return `fishersplat` if the user typed that, else `python run.py`."""
-    return CONSOLE if os.environ.get(VARIABLE) == CONSOLE else SCRIPT
+    """Return what the user typed: `fishersplat`, `python run.py` or `python DIR/run.py`."""
+    return os.environ.get(VARIABLE, "fishersplat")
 
 
 def set_program(name: str) -> None:
-    """Store the name by which this process was called."""
-    os.environ[VARIABLE] = CONSOLE if name == CONSOLE else SCRIPT
+    """Store what `program` returns."""
+    os.environ[VARIABLE] = name
+
+
+def command_line(words: Sequence[str]) -> str:
+    """A command to copy: this program with `words`, and with the plugin folder of this one."""
+    return f"{program()} {shlex.join([*words, *plugin_flags()])}"
 
 
 def take_flag(argv: Sequence[str]) -> list[str]:
