@@ -178,8 +178,10 @@ def _fingerprint(
     points: Tracks,
     bounds: tuple[float, float],
     paper: float | None,
+    given: tuple[bool, bool],
 ) -> str:
-    """SHA-256 over split, names, cameras, pixels, masks, depths, points, near, far and paper."""
+    """SHA-256 over split, names, cameras, pixels, masks, depths, points, paper, near, far and which
+    of the two the user gave."""
     digest = hashlib.sha256()
 
     def add(value: str | NDArray | None) -> None:
@@ -199,6 +201,8 @@ def _fingerprint(
     add(repr(bounds))
     if paper is not None:
         add(repr(paper))
+    if any(given):
+        add(repr(given))
     add(points.xyz)
     add(points.rgb)
     add(points.seen)
@@ -214,6 +218,7 @@ def assemble(
     near: float,
     far: float,
     paper: float | None = None,
+    given: tuple[bool, bool] = (False, False),
 ) -> Scene:
     """Make a scene of shots and points.
 
@@ -224,6 +229,7 @@ def assemble(
         points: `seen` is over the training shots, in their order.
         near, far: depth bounds.
         paper: grey value in [0, 1] behind transparent photos.
+        given: whether the user gave near, and far.
 
     Raises:
         UserError: a shot or a bound is invalid.
@@ -242,8 +248,9 @@ def assemble(
     if not len(points.xyz):
         points = points.for_training(range(len(train)))
     paper = paper if any(shot.clear for shot in train) else None
-    training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far, paper)
-    fingerprint = _fingerprint(protocol, train, test, points, (float(near), float(far)), paper)
+    views, bounds = tuple(map(_view, train)), (float(near), float(far))
+    training = TrainingSet(name, views, _points(points), near, far, paper, given)
+    fingerprint = _fingerprint(protocol, train, test, points, bounds, paper, given)
     tags = placement(_centers(test), _centers(train))
     tagged = [s if s.tags else replace(s, tags=tag) for s, tag in zip(test, tags, strict=True)]
     return Scene(name, protocol, training, tuple(map(_view, tagged)), fingerprint)

@@ -56,7 +56,8 @@ class FolderScene:
     """A scene in a folder.
 
     Attributes:
-        near, far: depth bounds in scene units; null = from the points.
+        near, far: depth bounds in scene units; null = from the points. Depth is searched between
+            those that differ from the layout's defaults.
     """
 
     layout: ClassVar[str]
@@ -149,7 +150,8 @@ def load_listed(options: FolderScene, listed: Listing) -> Scene:
     )
     tracks = tracks if listed.points_train else Tracks()
     paper = None if listed.paper is None else listed.paper / 255
-    return assemble(listed.name, options.split, train, test, tracks, near, far, paper)
+    given = (options.near != type(options).near, options.far != type(options).far)
+    return assemble(listed.name, options.split, train, test, tracks, near, far, paper, given)
 
 
 def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> None:
