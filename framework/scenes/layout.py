@@ -16,7 +16,7 @@ from framework.errors import require
 from framework.scenes.assemble import Tracks, assemble
 from framework.scenes.conventions import CONVENTIONS
 from framework.scenes.images import AUTO, scene_folder
-from framework.scenes.photo import Photo, read_shots
+from framework.scenes.photo import Photo, check_content, read_shots
 from framework.scenes.points import points_and_bounds
 from framework.scenes.splits import ALL, FILES, Split, protocol
 
@@ -139,6 +139,7 @@ def load_listed(options: FolderScene, listed: Listing) -> Scene:
     if downscale is None:
         downscale = options.usual_downscale(listed.photo_at(0).file)
     train, test = read_shots(listed.photo_at, listed.split, downscale, listed.paper)
+    check_content(train, listed.where)
     tracks, near, far = points_and_bounds(
         listed.tracks,
         listed.viewmats,
