@@ -160,5 +160,5 @@ def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> Non
     require(
         (type(n_views) is int and n_views >= 1) or (all_too and n_views == ALL),
         f"scene={loader}: expected n_views to be an integer >= 1{f' or {ALL}' if all_too else ''},"
-        f" got {n_views}; set scene.n_views",
+        f" got {n_views!r}; set scene.n_views",
     )
