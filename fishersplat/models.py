@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from fishersplat.arguments import composed, expect
 from fishersplat.runs import Run
-from framework.command.config.composed import configuration
 from framework.errors import UserError, require
 
 if TYPE_CHECKING:
@@ -61,7 +62,8 @@ def load_scene(name: str, **options: Any) -> Scene:
     from framework.run.preparation import loaded_scene
 
     registry.discover()
-    chosen = {"name": name, **options}
+    plain = {k: os.fspath(v) if isinstance(v, os.PathLike) else v for k, v in options.items()}
+    chosen = {"name": name, **plain}
     scene = loaded_scene(chosen)
     checked_poses(name, registry.part("scene", chosen), scene.training)
     return scene
@@ -87,13 +89,13 @@ def train(
     """
     without_effect = UNUSED if depth is None else (*UNUSED, "depth")
     for word in options:
-        key = word.lstrip("+~").partition("=")[0].partition(".")[0]
+        key = str(word).lstrip("+~").partition("=")[0].partition(".")[0]
         require(
             key not in without_effect,
             f"train: {word}: expected an option of the training, got one without effect here; use"
             " load_scene for the scene, or run(...) to evaluate and write a run",
         )
-    config = configuration(options).values
+    config = composed("train", options).values
     import torch
 
     from framework.backends import build_rasterizer
@@ -154,7 +156,16 @@ def render(model: Run | Model, camera: Camera) -> Render:
 
     Returns:
         `rgb` [3, H, W] in [0, 1], `alpha` [H, W], and `expected_depth` [H, W] in scene units.
+
+    Raises:
+        UserError: The model or the camera is something else, such as a folder or a name.
     """
+    from framework.types import Camera
+
+    known = isinstance(model, Run | Model)
+    expect(known, "render", "a Run or a Model", model, "use load_run(FOLDER) or train(...)")
+    advice = "use run.cameras[NAME] or view.camera"
+    expect(isinstance(camera, Camera), "render", "a camera", camera, advice)
     if isinstance(model, Run):
         return model._opened.render(camera, depth=True)
     from framework.kernels import rasterize

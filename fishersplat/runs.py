@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from framework.command.config.composed import configuration
+from fishersplat.arguments import composed, expect_folder
 from framework.errors import require
 from framework.records.record import RunRecord, read_run
 from framework.records.run_files import Table
@@ -70,12 +70,12 @@ def run(*options: str, folder: Path | str | None = None, quiet: bool = False) ->
     Raises:
         UserError: An option, file or scene is invalid.
     """
-    chosen = configuration(options)
+    chosen = composed("run", options)
     require(
         not chosen.values["estimate"],
         "run: estimate: expected false, got an estimate of a study; use the command line",
     )
-    target = chosen.folder if folder is None else Path(folder)
+    target = chosen.folder if folder is None else expect_folder("run", folder, "folder='DIR'")
     from framework.records.progress import Silent, Terminal
     from framework.run.experiment import run_experiment
 
@@ -95,7 +95,7 @@ def load_run(path: Path | str) -> Run:
     Raises:
         UserError: The folder has no completed run, or its files are damaged.
     """
-    folder = find_run(Path(path))
+    folder = find_run(expect_folder("load_run", path, "reports/STUDY/runs/NAME"))
     result = read_run(folder)
     require(
         result.record.status == "complete",

@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas as pd
 
+from fishersplat.arguments import expect_folder
 from framework.report.study.study import ReportRun
 
 METRICS = ("psnr", "ssim", "flip", "lpips", "lpips_01")
@@ -72,7 +73,7 @@ def load_study(path: Path | str) -> Study:
     """
     from framework.report.study.collect import collect
 
-    folder = Path(path)
+    folder = expect_folder("load_study", path, "reports/STUDY")
     collected = collect(folder)
     return Study(folder, pd.DataFrame(map(dict, map(_row, collected.runs))))
 

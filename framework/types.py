@@ -146,6 +146,8 @@ class TrainingSet:
 
     Attributes:
         paper: the grey in [0, 1] behind transparent photos, None where all are opaque.
+        given: whether the user gave near, and far; depth is then searched within them, whatever
+            the points say.
     """
 
     scene: str
@@ -154,6 +156,7 @@ class TrainingSet:
     near: float
     far: float
     paper: float | None = None
+    given: tuple[bool, bool] = (False, False)
 
     @cached_property  # used in every step
     def extent(self) -> float:

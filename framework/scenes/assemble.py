@@ -23,6 +23,7 @@ from framework.scenes.cameras import (
     check_rounding,
     checked_pose,
 )
+from framework.scenes.formats import listed
 from framework.scenes.placement import placement
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 ONE_PLACE = 0.01  # of the near bound; closer cameras see no parallax
+ONE_POSE = 1e-6  # of the near bound, and of an axis' length; closer cameras are the same
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,35 @@ def _warn_of_one_place(where: str, shots: Sequence[Shot], near: float) -> None:
         )
 
 
+def _warn_of_copies(where: str, train: Sequence[Shot], test: Sequence[Shot], near: float) -> None:
+    """Log a warning if training has a test photo's pixels or pose, as of a file listed twice."""
+    same_pixels = {_pixels(shot): shot for shot in train}
+    copies = [
+        f"{shot.name} is {copied.name}"
+        for shot in test
+        if (copied := same_pixels.get(_pixels(shot)) or _same_pose(shot, train, near))
+    ]
+    if copies:
+        log.warning(
+            f"{where}: {len(copies)} of {len(test)} test photos have the pixels or the pose of a"
+            f" training photo ({listed(copies)}), so test scores are too high; remove one of each"
+        )
+
+
+def _pixels(shot: Shot) -> tuple[tuple[int, ...], bytes]:
+    """Equal for equal images."""
+    return shot.image.shape, hashlib.sha256(shot.image.tobytes()).digest()
+
+
+def _same_pose(shot: Shot, others: Sequence[Shot], near: float) -> Shot | None:
+    """The first of the `others` with the camera centre and the axes of `shot`."""
+    turns = np.array([other.viewmat[:3, :3] for other in others]) - shot.viewmat[:3, :3]
+    away = _centers(others) - center_of(shot.viewmat)
+    same = np.abs(turns).max(axis=(1, 2), initial=0) <= ONE_POSE
+    same &= np.abs(away).max(axis=1, initial=0) <= ONE_POSE * near
+    return others[int(same.argmax())] if same.any() else None
+
+
 def _points(tracks: Tracks) -> SparsePoints:
     import torch
 
@@ -178,8 +209,10 @@ def _fingerprint(
     points: Tracks,
     bounds: tuple[float, float],
     paper: float | None,
+    given: tuple[bool, bool],
 ) -> str:
-    """SHA-256 over split, names, cameras, pixels, masks, depths, points, near, far and paper."""
+    """SHA-256 over split, names, cameras, pixels, masks, depths, points, paper, near, far and which
+    of the two the user gave."""
     digest = hashlib.sha256()
 
     def add(value: str | NDArray | None) -> None:
@@ -199,6 +232,8 @@ def _fingerprint(
     add(repr(bounds))
     if paper is not None:
         add(repr(paper))
+    if any(given):
+        add(repr(given))
     add(points.xyz)
     add(points.rgb)
     add(points.seen)
@@ -214,6 +249,7 @@ def assemble(
     near: float,
     far: float,
     paper: float | None = None,
+    given: tuple[bool, bool] = (False, False),
 ) -> Scene:
     """Make a scene of shots and points.
 
@@ -224,6 +260,7 @@ def assemble(
         points: `seen` is over the training shots, in their order.
         near, far: depth bounds.
         paper: grey value in [0, 1] behind transparent photos.
+        given: whether the user gave near, and far.
 
     Raises:
         UserError: a shot or a bound is invalid.
@@ -238,12 +275,14 @@ def assemble(
     check_places(_centers(both), [shot.name for shot in both], far, where)
     focal = max(float(shot.K[:2, :2].max()) for shot in both)
     _warn_of_one_place(where, train, near)
+    _warn_of_copies(where, train, test, near)
     check_rounding(_centers(both), focal, near, where)
     if not len(points.xyz):
         points = points.for_training(range(len(train)))
     paper = paper if any(shot.clear for shot in train) else None
-    training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far, paper)
-    fingerprint = _fingerprint(protocol, train, test, points, (float(near), float(far)), paper)
+    views, bounds = tuple(map(_view, train)), (float(near), float(far))
+    training = TrainingSet(name, views, _points(points), near, far, paper, given)
+    fingerprint = _fingerprint(protocol, train, test, points, bounds, paper, given)
     tags = placement(_centers(test), _centers(train))
     tagged = [s if s.tags else replace(s, tags=tag) for s, tag in zip(test, tags, strict=True)]
     return Scene(name, protocol, training, tuple(map(_view, tagged)), fingerprint)

@@ -20,6 +20,8 @@ NOT_ROTATION = 1e-3  # largest deviation of R^T R from the identity
 FARTHEST = 1e9  # scene units; float32 must hold its cube
 FOCAL = (0.01, 1000.0)  # focal lengths, over the longer side of the image
 OFF_CENTER = 10.0  # offset of the principal point from the middle, over the longer side
+CORNER = 0.2  # offset of another size's principal point, over both sides of the photo
+OUTSIDE = 1.0  # offset over one side of the photo, half a side beyond its edge
 BENT = 100.0  # largest coefficient of a lens distortion
 ROUNDED = 0.5  # pixels; largest error of a visible point in float32
 ASTRAY = 1000.0  # times the rig's size and the far bound; farther cameras see nothing
@@ -83,6 +85,23 @@ def checked_lens(lens: Lens, where: str) -> Lens:
         f" {', '.join(f'{term:.4g}' for term in terms)}; correct the camera",
     )
     return lens
+
+
+def check_size(lens: Lens, where: str) -> None:
+    """Raise UserError if a lens that a file gives without its size has that of other photos.
+
+    Intrinsics of photos k times as large have their principal point at k / 2 of both sides, towards
+    a corner of these photos. Lenses are off centre by a few percent, and crops mostly along one
+    side. A crop to a corner cannot be told from another size, so its file must state the size.
+    """
+    off = (lens.cx / lens.width - 0.5, lens.cy / lens.height - 0.5)
+    cornered = min(off) > CORNER or max(off) < -CORNER
+    require(
+        not cornered and max(map(abs, off)) <= OUTSIDE,
+        f"{where}: expected a principal point near the middle of the photo, as the file gives no w"
+        f" and h, got cx={lens.cx:.6g} and cy={lens.cy:.6g} for {lens.width}x{lens.height} pixels;"
+        " add w and h, the size of the photos that cx, cy and fl_x belong to",
+    )
 
 
 def near_points(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -120,7 +120,8 @@ def read_masked(
         one half.
 
     Raises:
-        UserError: a file is damaged, the mask has another shape, or no pixel counts.
+        UserError: a file is damaged, the mask has another shape, no pixel counts, or the photo is
+            transparent everywhere.
     """
     rgb, alpha = _pixels(path, factor, turn)
     height, width = rgb.shape[:2]
@@ -132,10 +133,11 @@ def read_masked(
         for row, a in zip(rgb, alpha, strict=True):  # by rows to save memory
             share = a[:, None].astype(np.float64) / 255.0
             row[:] = np.rint(row * share + float(paper or 0) * (1.0 - share))
+    blank = alpha is not None and not alpha.any()
     require(
-        valid is None or bool(valid.any()),
-        f"{mask or path}: expected some white pixels in a mask, or some that are not transparent in"
-        " a photo, got none; replace it",
+        not blank and (valid is None or bool(valid.any())),
+        f"{path if blank or mask is None else mask}: expected some white pixels in a mask, or some"
+        " that are not transparent in a photo, got none; replace it",
     )
     return rgb, valid, alpha is not None
 

@@ -16,7 +16,7 @@ from framework.errors import require
 from framework.scenes.assemble import Tracks, assemble
 from framework.scenes.conventions import CONVENTIONS
 from framework.scenes.images import AUTO, scene_folder
-from framework.scenes.photo import Photo, read_shots
+from framework.scenes.photo import Photo, check_content, read_shots
 from framework.scenes.points import points_and_bounds
 from framework.scenes.splits import ALL, FILES, Split, protocol
 
@@ -56,7 +56,8 @@ class FolderScene:
     """A scene in a folder.
 
     Attributes:
-        near, far: depth bounds in scene units; null = from the points.
+        near, far: depth bounds in scene units; null = from the points. Depth is searched between
+            those that differ from the layout's defaults.
     """
 
     layout: ClassVar[str]
@@ -138,6 +139,7 @@ def load_listed(options: FolderScene, listed: Listing) -> Scene:
     if downscale is None:
         downscale = options.usual_downscale(listed.photo_at(0).file)
     train, test = read_shots(listed.photo_at, listed.split, downscale, listed.paper)
+    check_content(train, listed.where)
     tracks, near, far = points_and_bounds(
         listed.tracks,
         listed.viewmats,
@@ -149,7 +151,8 @@ def load_listed(options: FolderScene, listed: Listing) -> Scene:
     )
     tracks = tracks if listed.points_train else Tracks()
     paper = None if listed.paper is None else listed.paper / 255
-    return assemble(listed.name, options.split, train, test, tracks, near, far, paper)
+    given = (options.near != type(options).near, options.far != type(options).far)
+    return assemble(listed.name, options.split, train, test, tracks, near, far, paper, given)
 
 
 def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> None:
@@ -157,5 +160,5 @@ def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> Non
     require(
         (type(n_views) is int and n_views >= 1) or (all_too and n_views == ALL),
         f"scene={loader}: expected n_views to be an integer >= 1{f' or {ALL}' if all_too else ''},"
-        f" got {n_views}; set scene.n_views",
+        f" got {n_views!r}; set scene.n_views",
     )

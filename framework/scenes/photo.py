@@ -76,6 +76,15 @@ def check_memory(files: Sequence[Path], downscale: int) -> None:
     )
 
 
+def check_content(shots: Sequence[Shot], where: str) -> None:
+    """Raise UserError if each of the photos has one colour, so that nothing in them can match."""
+    require(
+        any(bool((shot.image != shot.image[0, 0]).any()) for shot in shots),
+        f"{where}: expected training photos that show something, got {len(shots)} of one colour"
+        f" each (first: {shots[0].name}); replace the photos, or check what exported them",
+    )
+
+
 def read_shot(photo: Photo, downscale: int = 1, paper: int | None = None) -> Shot:
     """Read a photo, undistort and reduce it.
 

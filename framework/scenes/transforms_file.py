@@ -15,7 +15,7 @@ from framework.errors import UserError, require
 from framework.files.documents import read_json
 from framework.files.limits import PHOTO_PIXELS, TEXT_BYTES
 from framework.files.opened import is_file
-from framework.scenes.cameras import checked_lens, checked_pose
+from framework.scenes.cameras import check_size, checked_lens, checked_pose
 from framework.scenes.conventions import decoded_as
 from framework.scenes.decoding import image_size
 from framework.scenes.formats import find_photo
@@ -63,8 +63,12 @@ class Frame:
     def photo(self) -> Photo:
         """The photo, with a lens of its size unless the file gives one."""
         lens = self.lens(*image_size(self.file, PHOTO_PIXELS))
-        sized = {"w", "h"} <= self.values.keys()
-        return Photo(self.file, self.name, lens, self.viewmat, self.mask, sized)
+        return Photo(self.file, self.name, lens, self.viewmat, self.mask, self.sized)
+
+    @property
+    def sized(self) -> bool:
+        """Whether the file gives the size of the photos that the intrinsics belong to."""
+        return {"w", "h"} <= self.values.keys()
 
     def lens(self, width: int, height: int) -> Lens:
         """The intrinsics, for a photo of width x height if the file gives no size.
@@ -81,7 +85,10 @@ class Frame:
         distortion = Distortion(*(v.get(k, 0.0) for k in LENS))
         cx, cy = v.get("cx", w / 2), v.get("cy", h / 2)
         lens = Lens(round(w), round(h), fx, fx if fy is None else fy, cx, cy, distortion)
-        return checked_lens(lens, self.where)
+        checked_lens(lens, self.where)
+        if not self.sized:
+            check_size(lens, self.where)
+        return lens
 
     def _focal(self, key: str, angle: str, size: float) -> float | None:
         """The focal length in pixels under `key`, else from the `angle` of view over `size`."""

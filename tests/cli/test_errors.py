@@ -42,7 +42,7 @@ CASES = {
     ],
     "scene=llff": ["scene.path: required by scene=llff, got nothing; add scene.path=VALUE"],
     "scene=llff scene.path=x scene.n_views=each": [
-        "scene=llff: expected n_views to be an integer >= 1 or all, got each; set scene.n_views"
+        "scene=llff: expected n_views to be an integer >= 1 or all, got 'each'; set scene.n_views"
     ],
     "scene=mip360 scene.path=x scene.split=non": [
         "scene.split=non: unknown protocol; did you mean"

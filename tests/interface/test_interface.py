@@ -1,7 +1,9 @@
 """The Python interface does what the command line does."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import torch
 
 import fishersplat as fs
 from framework.types import DepthMap
+from tests.scenes.synthetic import write_scene
 
 SMALL = ("scene.width=96", "scene.height=72", "trainer.steps=6", "trainer.evaluations=1")
 COMMITTED = Path(__file__).parents[2] / "reports" / "committed"
@@ -67,6 +70,49 @@ def test_invalid_options_are_one_line(options: tuple[str, ...], message: str) ->
     with pytest.raises(fs.UserError, match=message) as error:
         fs.run(*options)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [("reg=uar,none",), ("seed=range(3)",), ("preset=[fast,best]",), ("reg=uar", "reg=none")],
+)
+def test_several_runs_are_several_calls(options: tuple[str, ...]) -> None:
+    with pytest.raises(fs.UserError, match=r"call run\(\.\.\.\) once for each$") as error:
+        fs.run(*options)
+    assert "-m" not in str(error.value)
+
+
+WRONG: dict[str, tuple[Callable[[fs.Run], object], str]] = {
+    "list": (lambda run: fs.run(["reg=uar"]), "run: .* got .'reg=uar'. .list.; .*run.*options"),
+    "no folder": (lambda run: fs.load_run(None), "load_run: expected a folder, got None; give one"),
+    "no study": (lambda run: fs.load_study(3), "load_study: expected a folder, got 3 .int.; give"),
+    "target": (lambda run: fs.run(folder=3), "run: expected a folder, got 3 .int.; give"),
+    "name": (lambda run: fs.render(run, "test01"), "render: expected a camera, got 'test01' .str."),
+    "folder": (
+        lambda run: fs.render("reports/x", run.cameras["test00"]),
+        "render: expected a Run or a Model, got 'reports/x' .str.; use load_run",
+    ),
+    "views": (lambda run: fs.load_scene("embedded", n_views="3"), "an integer >= 1, got '3'; set"),
+    "words": (
+        lambda run: fs.train(fs.load_scene("embedded", width=96, height=72), ["reg=uar"]),
+        "train: expected options as texts",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_arguments_of_another_kind_are_one_line(run: fs.Run, case: str) -> None:
+    call, message = WRONG[case]
+    with pytest.raises(fs.UserError, match=message) as error:
+        call(run)
+    assert "\n" not in str(error.value)
+
+
+def test_a_path_is_the_text_of_it(tmp_path: Path) -> None:
+    write_scene(tmp_path)
+    path: Any = tmp_path
+    scenes = [fs.load_scene("colmap", path=one, n_views=3) for one in (path, str(path))]
+    assert scenes[0].fingerprint == scenes[1].fingerprint
 
 
 def test_a_folder_without_a_run_is_one_line(tmp_path: Path) -> None:

@@ -29,3 +29,27 @@ def test_photos_from_one_place_are_told(caplog: pytest.LogCaptureFixture) -> Non
         shots = [Shot(f"{i}.png", pose, np.eye(3), IMAGE) for i, pose in enumerate(poses)]
         assemble("s", "p", shots, [], Tracks(), 1.0, 2.0)
         assert ("from one place" in caplog.text) == (step < 0.01)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "step", "named"),
+    [
+        (0, 1.0, "a.png is 0.png"),
+        (1, 0.1, "a.png is 1.png"),
+        (9, 0.1 + 1e-7, "a.png is 1.png"),
+        (9, 0.1 + 1e-4, ""),
+        (9, 1.0, ""),
+    ],
+)
+def test_test_photos_of_the_training_are_told(
+    caplog: pytest.LogCaptureFixture, pixels: int, step: float, named: str
+) -> None:
+    def shot(name: str, x: float, grey: int) -> Shot:
+        pose = np.eye(4)
+        pose[0, 3] = -x
+        return Shot(name, pose, np.eye(3), IMAGE + np.uint8(grey))
+
+    train = [shot(f"{i}.png", 0.1 * i, i) for i in range(3)]
+    assemble("s", "p", train, [shot("a.png", step, pixels)], Tracks(), 1.0, 2.0)
+    told = "1 of 1 test photos have the pixels or the pose of a training photo" in caplog.text
+    assert told == (named != "") and named in caplog.text

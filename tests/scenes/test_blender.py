@@ -96,6 +96,12 @@ def test_renders_stand_on_what_photos_were_laid_on(
     assert f"laid on {paper}, renders on {other}" in caplog.text
 
 
+def test_a_photo_that_is_transparent_everywhere_is_refused(tmp_path: Path) -> None:
+    Image.new("RGBA", (SIDE, SIDE)).save(write(tmp_path) / "train" / "r_0.png")
+    with pytest.raises(UserError, match=r"r_0.png: expected .* some that are not transparent"):
+        load(tmp_path, split="file", n_views=3)
+
+
 def test_a_test_photo_may_not_train(tmp_path: Path) -> None:
     folder = write(tmp_path)
     data = json.loads((folder / "transforms_test.json").read_text())

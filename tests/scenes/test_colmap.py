@@ -125,6 +125,10 @@ def test_every_other_error(tmp_path: Path) -> None:
     Image.new("RGBA", (WIDTH, HEIGHT)).save(folder / "images" / "im05.png")
     with pytest.raises(UserError, match=r"im05.png: expected .* not transparent"):
         load(folder)
+    for file in (folder / "images").iterdir():
+        Image.new("RGB", (WIDTH, HEIGHT), "green").save(file)
+    with pytest.raises(UserError, match=r"training photos that show .* got 3 of one colour each"):
+        load(folder)
     shutil.rmtree(folder / "sparse")
     with pytest.raises(UserError, match="expected a COLMAP model in sparse/0 or sparse"):
         load(folder)

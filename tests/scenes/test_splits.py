@@ -102,6 +102,8 @@ def test_unknown_protocol_suggests() -> None:
 @pytest.mark.parametrize("loader", FOLDERS)
 @pytest.mark.parametrize("n_views", ["every", "ALL", "3", "", 2.5, True, None])
 def test_n_views_is_a_number_or_all(loader: str, n_views: object) -> None:
-    message = rf"^scene={loader}: expected n_views to be an integer >= 1 or all, got {n_views}; set"
+    message = (
+        rf"^scene={loader}: expected n_views to be an integer >= 1 or all, got {n_views!r}; set"
+    )
     with pytest.raises(UserError, match=message):
         load_scene(loader, {"path": "x", "n_views": n_views})

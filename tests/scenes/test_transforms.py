@@ -127,6 +127,33 @@ def test_bad_files(tmp_path: Path, change: Callable[[Data], object], message: st
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("factors", "fits"),
+    [
+        ((1.15, 0.9), True),
+        ((1.3, 1.3), True),
+        ((2.9, 1.0), True),
+        ((2.0, 2.0), False),
+        ((8.0, 8.0), False),
+        ((0.5, 0.5), False),
+        ((3.1, 1.0), False),
+        ((-1.1, 1.0), False),
+    ],
+)
+def test_a_principal_point_of_photos_of_another_size(
+    tmp_path: Path, factors: tuple[float, float], fits: bool
+) -> None:
+    point = {"cx": factors[0] * WIDTH / 2, "cy": factors[1] * HEIGHT / 2}
+    write(tmp_path, lambda data: data.update(point))
+    if fits:
+        assert float(load(tmp_path, **BOUNDS).training.views[0].camera.K[0, 2]) == point["cx"]
+    else:
+        with pytest.raises(UserError, match=r"got cx=.* for 40x30 pixels; add w and h"):
+            load(tmp_path, **BOUNDS)
+    write(tmp_path, lambda data: data.update(point, w=WIDTH, h=HEIGHT))  # as of a crop
+    assert load(tmp_path, **BOUNDS).training.views[0].camera.K[0, 2] == point["cx"]
+
+
 def test_fox_agrees_with_its_colmap_model() -> None:
     folder = open_scene("nerf_fox")
     scene = load_scene("transforms", {"path": str(folder)})

@@ -32,16 +32,24 @@ GRID, LEVELS = 16, 3  # pixels per side and inverse depths of the grid used with
 def depth_bounds(training: TrainingSet, index: int) -> tuple[float, float]:
     """(nearest, farthest) depth to search in view `index`, in scene units.
 
-    The bounds are the 0.5 % and 99.5 % quantiles of the sparse points inside the view's frustum.
-    With fewer than `MIN_POINTS` points they are the scene's bounds. Both are widened.
+    A bound that the user gave is kept. The others are the 0.5 % and 99.5 % quantiles of the sparse
+    points inside the view's frustum, or the scene's bounds where these points are fewer than
+    `MIN_POINTS` or beyond the user's bound. These are widened.
     """
+    near_given, far_given = training.given
+    scene = (
+        training.near if near_given else NEARER * training.near,
+        training.far if far_given else FARTHER * training.far,
+    )
     camera = training.views[index].camera
     uvz = project(camera, training.points.xyz.numpy())
     depths = uvz[inside(camera, uvz), 2]
     if len(depths) < MIN_POINTS:
-        return NEARER * training.near, FARTHER * training.far
+        return scene
     low, high = np.percentile(depths, [0.5, 99.5])
-    return NEARER * float(low), FARTHER * float(high)
+    near = scene[0] if near_given else NEARER * float(low)
+    far = scene[1] if far_given else FARTHER * float(high)
+    return (near, far) if near < far else scene
 
 
 def angle_weight(xyz: NDArray[np.float64], a: Camera, b: Camera) -> NDArray[np.float64]:
