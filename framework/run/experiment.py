@@ -58,6 +58,7 @@ from framework.records.record import (
     RunRecord,
     SceneInfo,
     StageTime,
+    check_replaceable,
     damaged_file,
     find_complete,
     remove_record,
@@ -139,7 +140,9 @@ class Experiment:
         return record
 
     def _complete(self, identity: str) -> RunRecord | None:
-        """The complete record of the same run, unless it is to be repeated."""
+        """The complete record of the same run, unless it is to be repeated. Raises UserError if the
+        folder has one of another configuration."""
+        check_replaceable(self.folder, self.config)
         return None if self.config["force"] else find_complete(self.folder, identity)
 
     def _with_fewer_test_views(self, preparation: Preparation) -> Preparation:

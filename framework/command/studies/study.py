@@ -39,6 +39,7 @@ from framework.files.cache import cache_dir, usable
 from framework.files.locks import locked
 from framework.files.whole import remove_temporaries, write_whole
 from framework.records.progress import say
+from framework.records.record import check_replaceable
 
 LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
 JOBS_VARIABLE = "FISHERSPLAT_JOBS"
@@ -146,6 +147,7 @@ class StudyCallback(Callback):
                 " or leave estimate=true out: a run shows the time that is left",
             )
             check_links(Path(config.hydra.run.dir))
+            check_replaceable(Path(config.hydra.run.dir), plain(config))
             check_method(parsed(config.hydra.overrides.task), ())
         except (*USER_ERRORS, OSError) as error:
             raise Refused from error
@@ -244,6 +246,7 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
                 f" '{' '.join(taken[folder])}' and '{' '.join(job)}'; sweep each value once, or"
                 " give each run its own study=NAME or hydra.sweep.subdir"
             )
+        check_replaceable(Path(folder), values)
         taken[folder] = job
     return studies
 
