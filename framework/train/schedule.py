@@ -122,6 +122,9 @@ def unused(options: TrainerOptions, words: Sequence[str], *, augmented: bool) ->
             "only images with trainer.coarse_factor=4 or 8 and trainer.coarse_until above 0 have"
             " several octaves"
         )
+    if o.seconds > 0:
+        instead = f"with trainer.seconds={o.seconds:g} the time chooses the steps"
+        reasons |= dict.fromkeys(("steps", "visits"), instead)
     named = [(word.lstrip("+").removeprefix("trainer.").partition("=")[0], word) for word in words]
     return [
         f"{word}: {reasons[name]}, so it has no effect"

@@ -78,6 +78,7 @@ def test_options_that_change_nothing_are_told() -> None:
         ("trainer.pseudo_factor=1", {}),
         ("trainer.pseudo_steps=own", {}),
         ("trainer.coarse_octaves=true", {"coarse_factor": 4}),
+        ("trainer.steps=20", {"seconds": 0.0}),
     ],
 )
 def test_a_typed_option_without_effect_is_told(word: str, chosen: dict[str, Any]) -> None:
@@ -86,7 +87,9 @@ def test_a_typed_option_without_effect_is_told(word: str, chosen: dict[str, Any]
     options = {key: yaml.safe_load(value)}
 
     def said(*words: str, augmented: bool = False, **more: Any) -> list[str]:
-        return schedule.unused(TrainerOptions(**options | more), words, augmented=augmented)
+        return schedule.unused(
+            TrainerOptions(**{"seconds": 9.0, **options, **more}), words, augmented=augmented
+        )
 
     (line,) = said("seed=1", f"+{word}")
     assert line.startswith(f"+{word}: ") and line.endswith("so it has no effect")
