@@ -54,13 +54,13 @@ def collect(
         linked=not archived,
         archived=tuple(archived),
         searched=searched,
-        rival=_rival(rival, unique),
+        rival=find_rival(rival, unique),
         sources=tuple(run.record.provenance for run in runs),
         begun=tuple(path.name for folder in folders for path in begun_dirs(folder)),
     )
 
 
-def _rival(text: str, runs: Sequence[ReportRun]) -> Method | None:
+def find_rival(text: str, runs: Sequence[ReportRun]) -> Method | None:
     """The method, or the family of methods, that is called so. Raises UserError if there is
     none."""
     if not text:
