@@ -277,8 +277,8 @@ def build_reports() -> None:
         except Exception as error:
             # not the number of a run: a killed one has no outcome
             number = max(job_count() or 0, 1 + max(outcome.number for outcome in outcomes()))
-            reason = machine_line(error)
-            fixable = isinstance(error, UserError) or reason is not None
+            reason = str(error) if isinstance(error, UserError) else machine_line(error)
+            fixable = reason is not None
             reason = reason or f"{type(error).__name__}: {error}"
             message = printable_line(f"report of {short_path(folder)}: {reason}")
             again = f"{program()} report {folder}"
