@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from framework.errors import UserError, printable_line
+from framework.errors import UserError, printable_line, require
 from framework.files.documents import read_json
 from framework.files.limits import RUN_BYTES
 from framework.files.opened import is_file, reading
@@ -40,7 +40,7 @@ from framework.files.paths import inside
 from framework.files.whole import Written, difference, following, write_whole
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
-from framework.records.provenance import plain_json, provenance, strict_json
+from framework.records.provenance import NEUTRAL_KEYS, plain_json, provenance, strict_json
 from framework.records.record_check import check_failure, check_record
 from framework.records.run_files import (
     EMPTY,
@@ -70,6 +70,7 @@ METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, FAILED, PLY = "record.json", "failed.json", "point_cloud.ply"
 DIVERGED = "diverged.safetensors"
 AGAIN = "delete that folder and run again"
+FEW = 3  # options that a message names
 
 
 @dataclass(frozen=True)
@@ -332,6 +333,40 @@ def find_complete(run_dir: Path, identity: str) -> RunRecord | None:
         return None
     same = record.status == "complete" and record.identity == identity
     return record if same and not damaged_file(run_dir, identity) else None
+
+
+def check_replaceable(run_dir: Path, config: Mapping[str, Any]) -> None:
+    """Raise UserError if `run_dir` holds a complete run of another configuration, which a run of
+    `config` would replace. `force` permits it.
+
+    Options that only one of the two has do not count: they are of another version of the code.
+    """
+    if config["force"] or not _is_complete(run_dir):
+        return
+    held = _flat(read_record(run_dir / RECORD).config)
+    wanted = _flat(plain_json(config))
+    other = [key for key in held if key in wanted and held[key] != wanted[key]]
+    other.sort(key=lambda key: not key.endswith(".name"))  # choices before their options
+    few = [f"{key.removesuffix('.name')}={held[key]}" for key in other[:FEW]]
+    few += ["..."] if len(other) > FEW else []
+    require(
+        not other,
+        f"{run_dir}: expected an empty folder or the same run, got a complete run of another"
+        f" configuration ({', '.join(few)}); give another folder, or force=true to replace that"
+        " run",
+    )
+
+
+def _flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Dotted keys of all options that can change a run."""
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{name}.")
+        elif name not in NEUTRAL_KEYS:
+            flat[name] = value
+    return flat
 
 
 def damaged_file(run_dir: Path, identity: str) -> str:

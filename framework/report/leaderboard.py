@@ -8,7 +8,7 @@ significantly worse, or neither, each with the interval of that report.
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -36,9 +36,9 @@ from framework.report.statistics.numbers import (
 )
 from framework.report.statistics.outcomes import Outcomes, outcomes, seed_means
 from framework.report.stress import panels
-from framework.report.study.collect import collect, holds_run, walked
+from framework.report.study.collect import collect, find_rival, holds_run, walked
 from framework.report.study.methods import Method, learned_footnote
-from framework.report.study.study import Study
+from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import natural, outside
 from framework.report.tables import Link
 from framework.report.tables import Row as Cells
@@ -98,7 +98,7 @@ def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int
     and the verdict. rival: the baseline of the studies that have it.
 
     Raises:
-        UserError: there is no study. One that cannot be read is listed.
+        UserError: there is no study, or none with the rival. One that cannot be read is listed.
     """
     entries, broken = _entries(folder, out_dir, rival)
     require(
@@ -129,13 +129,20 @@ def leaderboard(folder: Path, out_dir: Path, rival: str = "") -> tuple[Path, int
 
 
 def _entries(folder: Path, out_dir: Path, rival: str) -> tuple[list[Entry], dict[str, str]]:
-    """The studies with their outcomes; and by name why others are left out."""
+    """The studies with their outcomes; and by name why others are left out.
+
+    Raises:
+        UserError: no study has a method that is called like the rival.
+    """
     entries: list[Entry] = []
     broken: dict[str, str] = {}
+    runs: list[ReportRun] = []
     for path in _study_dirs(folder):
         name = outside(os.path.relpath(path, folder)) if path != folder else outside(path.name)
         try:
-            study = collect(path, out_dir, rival=rival)
+            study = collect(path, out_dir)
+            runs += study.runs
+            study = replace(study, rival=find_rival(rival, study.runs))
         except UserError as error:
             broken[name] = outside(str(error))
             continue
@@ -144,6 +151,8 @@ def _entries(folder: Path, out_dir: Path, rival: str) -> tuple[list[Entry], dict
             broken[name] = why
         else:
             entries.append(Entry(name, study, outcomes(study)))
+    if runs:
+        find_rival(rival, runs)  # raises if no study has it
     return sorted(entries, key=lambda entry: natural(entry.name)), broken
 
 

@@ -58,6 +58,7 @@ from framework.records.record import (
     RunRecord,
     SceneInfo,
     StageTime,
+    check_replaceable,
     damaged_file,
     find_complete,
     remove_record,
@@ -78,6 +79,7 @@ from framework.run.preparation import (
 from framework.run.training import Run, initial, renderer, thinned, train, within_seconds
 from framework.run.warmup import Warmup
 from framework.shapes import check_kind
+from framework.train import schedule
 from framework.train.dose import summary as dose_summary
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.train.trainer import Trained
@@ -129,6 +131,7 @@ class Experiment:
             if damage:
                 LOG.warning(f"{self.folder.name}: {damage}; running it again")
             remove_temporaries(self.folder)
+            self._warn_of_unused()
             with forgotten_if_foreign(self.config):
                 preparation = prepare(self.config, files["depth"], self.warmup, self.progress)
                 warnings += preparation.warnings
@@ -139,8 +142,17 @@ class Experiment:
         return record
 
     def _complete(self, identity: str) -> RunRecord | None:
-        """The complete record of the same run, unless it is to be repeated."""
+        """The complete record of the same run, unless it is to be repeated. Raises UserError if the
+        folder has one of another configuration."""
+        check_replaceable(self.folder, self.config)
         return None if self.config["force"] else find_complete(self.folder, identity)
+
+    def _warn_of_unused(self) -> None:
+        """Warn about options that the user gave and that have no effect."""
+        options = TrainerOptions(**self.config["trainer"])
+        augmented = self.config["augment"]["name"] != "none"
+        for line in schedule.unused(options, self.overrides, augmented=augmented):
+            LOG.warning(line)
 
     def _with_fewer_test_views(self, preparation: Preparation) -> Preparation:
         """Keep `metrics.views` of the test views, evenly spread."""

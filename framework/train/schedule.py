@@ -5,6 +5,7 @@ Rates are the options' times `lr_scale`: the means' decays exponentially over th
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from framework.compute import portable
@@ -98,6 +99,38 @@ def inert(options: TrainerOptions) -> list[str]:
             " fades, so it has no effect"
         )
     return lines
+
+
+def unused(options: TrainerOptions, words: Sequence[str], *, augmented: bool) -> list[str]:
+    """Return a warning for each word of a command line that sets an option without effect.
+
+    Presets and recipes set such options for choices that are not always made, so only what was
+    typed counts.
+
+    Args:
+        augmented: whether there are pseudo views.
+    """
+    o = options
+    sh, pseudo = ("sh_every", "lr_shN_ratio"), ("pseudo_factor", "pseudo_steps", "pseudo_mean")
+    reasons: dict[str, str] = {}
+    if o.sh_degree == 0:
+        reasons |= dict.fromkeys(sh, "with trainer.sh_degree=0 there are no higher SH bands")
+    if not augmented:
+        reasons |= dict.fromkeys(pseudo, "with augment=none there are no pseudo views")
+    if o.coarse_until == 0 or o.coarse_factor <= 2:
+        reasons["coarse_octaves"] = (
+            "only images with trainer.coarse_factor=4 or 8 and trainer.coarse_until above 0 have"
+            " several octaves"
+        )
+    if o.seconds > 0:
+        instead = f"with trainer.seconds={o.seconds:g} the time chooses the steps"
+        reasons |= dict.fromkeys(("steps", "visits"), instead)
+    named = [(word.lstrip("+").removeprefix("trainer.").partition("=")[0], word) for word in words]
+    return [
+        f"{word}: {reasons[name]}, so it has no effect"
+        for name, word in named
+        if name in reasons and getattr(o, name) != getattr(TrainerOptions, name)
+    ]
 
 
 def learning_rates(options: TrainerOptions, step: int, extent: float) -> dict[str, float]:

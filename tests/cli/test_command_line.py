@@ -135,7 +135,7 @@ def test_a_report_that_fails_is_an_error(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["study=unreportable"]) == 2
-    assert "report of reports/unreportable: UserError: nothing" in capsys.readouterr().err
+    assert "report of reports/unreportable: nothing" in capsys.readouterr().err
 
 
 def test_a_lone_mistake_leaves_no_record(runs: FakeRuns) -> None:

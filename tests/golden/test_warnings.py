@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+import yaml
 
 from framework import registry
 from framework.errors import UserError
@@ -67,6 +68,38 @@ def test_options_that_change_nothing_are_told() -> None:
     assert said(opacity_spare=0.5, opacity_decay=1.0)[0].startswith("trainer.opacity_spare=0.5: ")
     assert said(opacity_spare=0.5) == []
     assert said(tuning=0.1)[0].startswith("trainer.tuning=0.1: with trainer.members=1")
+
+
+@pytest.mark.parametrize(
+    ("word", "chosen"),
+    [
+        ("trainer.sh_every=500", {"sh_degree": 1}),
+        ("trainer.lr_shN_ratio=0.1", {"sh_degree": 1}),
+        ("trainer.pseudo_factor=1", {}),
+        ("trainer.pseudo_steps=own", {}),
+        ("trainer.coarse_octaves=true", {"coarse_factor": 4}),
+        ("trainer.steps=20", {"seconds": 0.0}),
+    ],
+)
+def test_a_typed_option_without_effect_is_told(word: str, chosen: dict[str, Any]) -> None:
+    """Not what a preset or a recipe sets, nor the default."""
+    key, _, value = word.removeprefix("trainer.").partition("=")
+    options = {key: yaml.safe_load(value)}
+
+    def said(*words: str, augmented: bool = False, **more: Any) -> list[str]:
+        return schedule.unused(
+            TrainerOptions(**{"seconds": 9.0, **options, **more}), words, augmented=augmented
+        )
+
+    (line,) = said("seed=1", f"+{word}")
+    assert line.startswith(f"+{word}: ") and line.endswith("so it has no effect")
+    assert said("seed=1") == said(word, augmented=True, **chosen) == []
+    assert said(word, **{key: getattr(TrainerOptions, key)}) == []
+
+
+def test_octaves_need_a_coarse_phase() -> None:
+    options = TrainerOptions(coarse_factor=4, coarse_until=0.0, coarse_octaves=True)
+    assert len(schedule.unused(options, ["trainer.coarse_octaves=true"], augmented=True)) == 1
 
 
 def test_visits_that_are_too_many_are_told_by_their_own_name() -> None:

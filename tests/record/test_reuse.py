@@ -1,5 +1,6 @@
 """A complete run is reused only while every file it read is what it was."""
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict
@@ -11,6 +12,7 @@ import pytest
 import torch
 
 from framework.command.config.schema import register_config, rows
+from framework.errors import UserError
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
@@ -116,6 +118,25 @@ def test_replaced_weights_are_another_run(tmp_path: Path, monkeypatch: pytest.Mo
     torch.save({"a": torch.ones(1)}, weights)
     other, reused = run(config, tmp_path / "run")
     assert not reused and other.identity != first.identity
+
+
+def test_another_configuration_does_not_replace_a_complete_run(
+    finished: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(finished, folder)
+    config = small_config(group("depth", "plane_sweep"))
+    other = config | {"reg": group("reg", "uar")}
+    with pytest.raises(UserError, match=rf"{folder}: .*configuration \(reg=none, .* force=true"):
+        run(other, folder)
+    file = folder / RECORD
+    content = json.loads(file.read_text(encoding="utf-8"))
+    content["identity"] = "0" * 64  # of another version of the code, which had fewer options
+    del content["config"]["trainer"]["pace_views"]
+    file.write_text(json.dumps(content), encoding="utf-8")
+    assert not run(config | {"threads": 2}, folder)[1]
+    assert read_record(file).identity != "0" * 64
+    assert run(other | {"force": True}, folder)[0].config["reg"]["name"] == "uar"
 
 
 def truncate(file: Path) -> None:

@@ -3,6 +3,9 @@
 import json
 from pathlib import Path
 
+import pytest
+
+from framework.errors import UserError
 from framework.report import build_report
 from framework.report.costs import choices
 from framework.report.figures.charts import cost_charts
@@ -20,6 +23,16 @@ def test_runs_of_different_code_are_told(tmp_path: Path) -> None:
     code = collect(tmp_path).runs[0].record.provenance["code"]
     record.write_text(record.read_text().replace(code, "0" * 64))
     assert "2 versions of the code" in first_screen(tmp_path)
+
+
+def test_a_study_has_no_runs_of_the_studies_in_its_folder(tmp_path: Path) -> None:
+    """As of `study=a` and `study=a/b`; a folder of several studies is none."""
+    for study in ("a", "a/b", "c"):
+        fake_run(tmp_path / study, reg="none" if study == "a" else "uar")
+    assert [method.label for method in collect(tmp_path / "a").methods] == ["none + none"]
+    assert build_report(tmp_path / "a").path.is_file()
+    with pytest.raises(UserError, match=f"of one study, got that of 3; .* as {tmp_path / 'a'}"):
+        collect(tmp_path)
 
 
 def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:

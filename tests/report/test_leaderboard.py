@@ -46,6 +46,20 @@ def test_methods_over_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert (folder / "leaderboard.html").read_bytes() == before
 
 
+def test_a_baseline_that_no_study_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One that some studies have leaves out the others."""
+    for study, augment in (("one", "safi"), ("two", "dba")):
+        for seed in range(2):
+            fake_run(tmp_path / study, seed=seed)
+            fake_run(tmp_path / study, augment, seed=seed, gain=3.0)
+    assert command(["leaderboard", str(tmp_path), "--baseline", "xx"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--baseline: expected a method of the report, got 'xx'; give one of none + none;" in line
+    assert "dba + none" in line and "safi + none" in line
+    assert not (tmp_path / "leaderboard.md").exists()
+    assert command(["leaderboard", str(tmp_path), "--baseline", "safi"]) == 0
+
+
 def test_searches_are_no_studies(tmp_path: Path) -> None:
     """Nor are runs that were evaluated on training photos: both were made to choose options. The
     differences of a stress study depend on its strength."""

@@ -12,6 +12,7 @@ from framework.report.study.methods import (
     Method,
     by_recipe,
     methods_of,
+    name_methods,
     recipe_of,
 )
 from framework.report.study.plugins import papers
@@ -83,6 +84,32 @@ def test_an_old_record_is_the_method_with_the_default() -> None:
     assert names([old, new]) == [f"none + {name}, reg.uar.p={p}" for p in (Uar().p, 0.9)]
     unknown = [make_config("mine"), make_config(augment={"name": "mine", "eta": 2.0})]
     assert names(unknown)[0].startswith("mine + none")
+
+
+def test_steps_that_a_time_limit_replaced_are_not_named() -> None:
+    trainers = [{"steps": 20, "seconds": 0.0}, {"steps": 20, "seconds": 5.0}, {"steps": 75}]
+    trainers[2] |= {"visits": 4, "seconds": 9.0}
+    configs = [make_config(trainer={**trainer, "members": 1}) for trainer in trainers]
+    assert names(configs) == [
+        "none + none, trainer.seconds=0.0, steps=20",
+        "none + none, trainer.seconds=5.0",
+        "none + none, trainer.seconds=9.0",
+    ]
+
+
+def test_nor_are_such_steps_named_beside_a_recipe() -> None:
+    runs = [("baseline", 0, 5.0, 20), ("corgs", 500, 5.0, 20), ("corgs", 500, 9.0, 75)]
+    configs, words = [], []
+    for recipe, sh_every, seconds, steps in runs:
+        trainer = {"steps": steps, "seconds": seconds, "sh_every": sh_every}
+        configs.append(make_config(trainer=trainer))
+        words.append([f"method={recipe}", f"trainer.seconds={seconds:g}", f"trainer.steps={steps}"])
+    methods, _ = name_methods(configs, words, ["fern"] * 3)
+    assert [method.label for method in methods] == [
+        "none + none, trainer.seconds=5",
+        "corgs, trainer.seconds=5",
+        "corgs, trainer.seconds=9",
+    ]
 
 
 def info(name: str, fingerprint: str) -> SceneInfo:

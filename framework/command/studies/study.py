@@ -39,6 +39,7 @@ from framework.files.locks import locked
 from framework.files.program import program
 from framework.files.whole import remove_temporaries, write_whole
 from framework.records.progress import say
+from framework.records.record import check_replaceable
 
 LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
 JOBS_VARIABLE = "FISHERSPLAT_JOBS"
@@ -146,6 +147,7 @@ class StudyCallback(Callback):
                 " or leave estimate=true out: a run shows the time that is left",
             )
             check_links(Path(config.hydra.run.dir))
+            check_replaceable(Path(config.hydra.run.dir), plain(config))
             check_method(parsed(config.hydra.overrides.task), ())
         except (*USER_ERRORS, OSError) as error:
             raise Refused from error
@@ -244,6 +246,7 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
                 f" '{' '.join(taken[folder])}' and '{' '.join(job)}'; sweep each value once, or"
                 " give each run its own study=NAME or hydra.sweep.subdir"
             )
+        check_replaceable(Path(folder), values)
         taken[folder] = job
     return studies
 
@@ -274,8 +277,8 @@ def build_reports() -> None:
         except Exception as error:
             # not the number of a run: a killed one has no outcome
             number = max(job_count() or 0, 1 + max(outcome.number for outcome in outcomes()))
-            reason = machine_line(error)
-            fixable = isinstance(error, UserError) or reason is not None
+            reason = str(error) if isinstance(error, UserError) else machine_line(error)
+            fixable = reason is not None
             reason = reason or f"{type(error).__name__}: {error}"
             message = printable_line(f"report of {short_path(folder)}: {reason}")
             again = f"{program()} report {folder}"

@@ -43,4 +43,6 @@ WITH_STEPS = (  # what presets set together with the steps
     *("trainer.visits", "trainer.coarse_factor", "trainer.coarse_until"),
     *("trainer.members", "trainer.kept", "trainer.tuning"),
 )
+SECONDS = "trainer.seconds"
+CHOSEN_BY_TIME = (STEPS, "trainer.visits")  # without effect if that is set
 BUDGETS = (STEPS, *WITH_STEPS, "init.budget", "init.per_pixel")

@@ -54,13 +54,13 @@ def collect(
         linked=not archived,
         archived=tuple(archived),
         searched=searched,
-        rival=_rival(rival, unique),
+        rival=find_rival(rival, unique),
         sources=tuple(run.record.provenance for run in runs),
         begun=tuple(path.name for folder in folders for path in begun_dirs(folder)),
     )
 
 
-def _rival(text: str, runs: Sequence[ReportRun]) -> Method | None:
+def find_rival(text: str, runs: Sequence[ReportRun]) -> Method | None:
     """The method, or the family of methods, that is called so. Raises UserError if there is
     none."""
     if not text:
@@ -100,9 +100,14 @@ def _gathered(
 
 
 def _read(folder: Path) -> list[Entry]:
-    """All runs below `folder`, by path; one that no run wrote counts as failed."""
+    """All runs below `folder`, by path; one that no run wrote counts as failed. A study does not
+    have the runs of studies in its folder, as `study=a/b` is in that of `study=a`."""
     paths = run_dirs(folder)
     studies = sorted({path.parent.parent for path in paths if path.parent.name == RUN_FOLDERS})
+    if folder in studies:
+        others = [study / RUN_FOLDERS for study in studies if study != folder]
+        paths = [path for path in paths if path.parent not in others]
+        studies = [folder]
     require(
         len(studies) < 2,
         f"{folder}: expected the folder of one study, got that of {len(studies)}; give one of them,"

@@ -17,7 +17,14 @@ from typing import Any
 
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import METHOD_GROUPS
-from framework.report.study.axes import BUDGETS, DATA_KEYS, STEPS, WITH_STEPS
+from framework.report.study.axes import (
+    BUDGETS,
+    CHOSEN_BY_TIME,
+    DATA_KEYS,
+    SECONDS,
+    STEPS,
+    WITH_STEPS,
+)
 from framework.report.study.plugins import as_variant, title, with_defaults
 from framework.report.study.published import recipe_title
 from framework.report.study.words import Flat, flatten, natural, value_text
@@ -141,7 +148,8 @@ def name_methods(
     """The method of each run, from its configuration, its command line and its scene's label; and
     notes on how they are named."""
     methods = methods_of(configs)
-    recipes = by_recipe(list(zip(methods, overrides, scenes, strict=True)))
+    words = list(map(_without_idle_words, overrides, configs))
+    recipes = by_recipe(list(zip(methods, words, scenes, strict=True)))
     if recipes:
         return [recipes[method] for method in methods], [RECIPE_NOTE]
     return methods, []
@@ -205,13 +213,26 @@ def _plugin(key: str, config: Flat) -> str | None:
 
 def _without_idle_options(config: Flat) -> Flat:
     """Without options that cannot act: nothing to tune in one training, depth that is not spoiled
-    has no random draw."""
+    has no random draw, a time limit chooses the steps."""
     idle = set[str]()
     if config.get("trainer.members", 1) == 1:
         idle |= {"trainer.tuning", "trainer.kept"}
     if config.get("depth.corruption", "none") == "none" or config.get("depth.strength") == 0:
         idle.add("depth.corruption_seed")
+    if _is_timed(config):
+        idle |= set(CHOSEN_BY_TIME)
     return {key: value for key, value in config.items() if key not in idle}
+
+
+def _is_timed(config: Flat) -> bool:
+    """Whether a time limit chose the steps."""
+    return config.get(SECONDS) not in (None, 0)
+
+
+def _without_idle_words(words: Sequence[str], config: Mapping[str, Any]) -> list[str]:
+    """The words of a run's command line, without the steps that a time limit replaced."""
+    idle = CHOSEN_BY_TIME if _is_timed(flatten(config)) else ()
+    return [word for word in words if word.lstrip("+").partition("=")[0] not in idle]
 
 
 def _without_followers(keys: Sequence[str], configs: Sequence[Flat]) -> list[str]:
