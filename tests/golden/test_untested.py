@@ -50,7 +50,7 @@ def test_every_photo_trains_and_nothing_is_tested(
         (last,) = (line for line in message if " · not tested (scene.split=none) · " in line)
         assert ("reused" in last) == reused
     study = Path("reports") / f"transforms_photos_{n_views}v_untested"
-    assert message[-1] == f"view: python run.py view {study}"
+    assert message[-1] == f"view: fishersplat view {study}"
     assert page == f"page: {study}/report.html"
     assert report == f"report: {study}/report.md"
     assert "Nothing was tested: no photo was held out" in Path(study, "report.md").read_text(

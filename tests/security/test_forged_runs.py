@@ -134,7 +134,7 @@ def test_damaged_runs_are_a_line_each_among_the_failures(study: Path) -> None:
     for name, (_, message) in DAMAGED.items():
         (row,) = rows[name]
         assert message in row.replace("\\", "") and str(study) not in row, name
-        assert "python run.py" not in row, name
+        assert "fishersplat " not in row, name
     assert f"{len(DAMAGED)} of {len(DAMAGED) + 5} runs failed" in text
     _has_the_sound_runs(text)
 
