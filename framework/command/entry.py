@@ -15,7 +15,7 @@ def main() -> None:
     command(sys.argv[1:], "fishersplat")
 
 
-def command(argv: list[str], name: str = "python run.py") -> None:
+def command(argv: list[str], name: str) -> None:
     """Run the command line `argv` of the program `name` and end this process."""
     try:
         code = _run(argv, name)

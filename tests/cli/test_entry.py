@@ -58,7 +58,7 @@ def test_a_terminal_that_lacks_our_letters_gets_others(monkeypatch: pytest.Monke
     for name in ("stdout", "stderr"):
         monkeypatch.setattr(sys, name, io.TextIOWrapper(written, encoding="ascii", errors="strict"))
     with pytest.raises(SystemExit):
-        command(["--version"])
+        command(["--version"], "fishersplat")
     print("22.3 dB · 4 s", flush=True)  # as progress has it
     assert written.getvalue().endswith(b"22.3 dB \\xb7 4 s\n")
 
@@ -74,6 +74,6 @@ def test_ctrl_c_while_modules_are_imported_is_one_line(
     monkeypatch.delitem(sys.modules, "framework.files.program")
     monkeypatch.setattr(sys, "meta_path", [Interrupting(), *sys.meta_path])
     with pytest.raises(SystemExit) as ended:
-        command(["--version"])
+        command(["--version"], "fishersplat")
     assert ended.value.code == 130
     assert capsys.readouterr().err == "error: interrupted\n"
