@@ -23,7 +23,7 @@ run, report = types.ModuleType("framework.run.experiment"), types.ModuleType("fr
 run.run_experiment = run_experiment
 report.build_report = build_report
 sys.modules |= {{"framework.run.experiment": run, "framework.report": report}}
-entry.command(sys.argv[1:])
+entry.command(sys.argv[1:], "python run.py")
 """
 SLOW = """
 def run_experiment(config, run_dir, progress, overrides):
