@@ -126,6 +126,11 @@ def mean(study: str, method: str, metric: str = "psnr", on: str = "") -> float:
     return float(means(study, on).loc[method, metric])
 
 
+def lpips(study: str, method: str, on: str = "") -> str:
+    """Mean LPIPS on [0, 1] images, as `.148`."""
+    return f"{mean(study, method, 'lpips_01', on):.3f}".removeprefix("0")
+
+
 def acted(study: str, method: str) -> str:
     """The share of its opportunities in which a method acted that the report calls hardly tested,
     as `39 %`."""
@@ -199,5 +204,5 @@ def _decimals(number: float) -> str:
 
 LANGUAGE = Environment(undefined=StrictUndefined, autoescape=False)
 LANGUAGE.globals = {
-    f.__name__: f for f in (gain, loss, between, possible, sigma_ratio, mean, acted, round)
+    f.__name__: f for f in (gain, loss, between, possible, sigma_ratio, mean, lpips, acted, round)
 }

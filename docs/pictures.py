@@ -219,7 +219,11 @@ def draw_size(out: Path) -> None:
     figure = Figure(figsize=(9, 4), layout="constrained")
     panels = figure.subplots(1, 2)
     metrics = {"psnr": "PSNR (dB)", "lpips_01": "LPIPS"}
-    crowded = {"ReDI-GS": (7, 6), "Binocular3DGS": (7, -12)}  # places of names next to others
+    crowded = {
+        "best": (-10, 8),
+        "ReDI-GS": (7, 6),
+        "Binocular3DGS": (7, -12),
+    }  # places of names next to others
     for panel, (metric, label) in zip(panels, metrics.items(), strict=True):
         for points, style, name in (
             (ours.sort_values("gaussians"), {"marker": "o", "color": GREEN}, "fishersplat"),
