@@ -281,12 +281,9 @@ def values(spec: Mapping[str, Any]) -> list[str]:
 
 
 def gains(spec: Mapping[str, Any]) -> list[str]:
-    """Gain of each method in PSNR over the baseline, a column for each study or scene."""
+    """Gain of each method in PSNR over the baseline, a column for each study."""
     columns = spec["gains"]
-    means = {
-        label: quoted.means(column["study"], column.get("scene", ""))["psnr"]
-        for label, column in columns.items()
-    }
+    means = {label: quoted.means(column["study"])["psnr"] for label, column in columns.items()}
     rows = [_row(["method", *columns]), _row(["---", *["---:"] * len(columns)])]
     for label in spec["rows"]:
         cells = []

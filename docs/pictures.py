@@ -219,11 +219,8 @@ def draw_size(out: Path) -> None:
     figure = Figure(figsize=(9, 4), layout="constrained")
     panels = figure.subplots(1, 2)
     metrics = {"psnr": "PSNR (dB)", "lpips_01": "LPIPS"}
-    crowded = {
-        "best": (-10, 8),
-        "ReDI-GS": (7, 6),
-        "Binocular3DGS": (7, -12),
-    }  # places of names next to others
+    # places of names that would overlap others
+    crowded = {"best": (-10, 8), "ReDI-GS": (7, 6), "Binocular3DGS": (7, -12)}
     for panel, (metric, label) in zip(panels, metrics.items(), strict=True):
         for points, style, name in (
             (ours.sort_values("gaussians"), {"marker": "o", "color": GREEN}, "fishersplat"),

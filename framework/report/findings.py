@@ -288,12 +288,11 @@ def _verdict(study: Study, outcomes: Outcomes) -> Verdict:
 def _of_baseline(study: Study, outcomes: Outcomes) -> Verdict:
     """Why the baseline is advised."""
     gains = [c for c in outcomes.comparisons.values() if c.significant and c.difference > 0]
-    over = tuple(c.method for c in gains if c.baseline == study.baseline)
-    complete = tuple(c.method for c in gains if c.method in over and better_everywhere(study, c))
-    if complete:
-        return Verdict("not over every baseline", study.baseline, others=complete)
+    over = [c for c in gains if c.baseline == study.baseline]
+    complete = [c for c in over if better_everywhere(study, c)]
     if over:
-        return Verdict("not on all scenes", study.baseline, others=over)
+        kind = "not over every baseline" if complete else "not on all scenes"
+        return Verdict(kind, study.baseline, others=tuple(c.method for c in complete or over))
     if study.rival or (not study.has_plain and len(study.families) > 1):
         return Verdict("rival", study.baseline)
     return Verdict("own baselines" if gains else "baseline", study.baseline)

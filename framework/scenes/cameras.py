@@ -92,7 +92,7 @@ def check_size(lens: Lens, where: str) -> None:
 
     Intrinsics of photos k times as large have their principal point at k / 2 of both sides, towards
     a corner of these photos. Lenses are off centre by a few percent, and crops mostly along one
-    side. A crop to a corner cannot be told from another size, so its file must state the size.
+    side. A crop to a corner looks like another size, so its file must state the size.
     """
     off = (lens.cx / lens.width - 0.5, lens.cy / lens.height - 0.5)
     cornered = min(off) > CORNER or max(off) < -CORNER

@@ -80,6 +80,21 @@ def test_a_method_that_lacks_seeds_on_a_scene_is_not_advised(tmp_path: Path) -> 
     assert "significantly better where compared, but lacks scenes or seeds.**" in text
 
 
+def test_a_baseline_that_lacks_a_scene_is_not_advised(tmp_path: Path) -> None:
+    rows = [row(scene, "safi + none", seed, 20) for scene in "ab" for seed in (0, 1)]
+    rows += [row("a", "none + none", seed, 20) for seed in (0, 1)]
+    text = first_screen(table(tmp_path / "study", rows))
+    assert "**No advice: the baseline lacks scenes or seeds." in text
+
+
+def test_advice_by_time_names_budgets_of_the_advised_method(tmp_path: Path) -> None:
+    rows = [row("a", "none + none, steps=20", seed, 20, train_cpu_s=5) for seed in (0, 1)]
+    for steps, psnr in {20: 19, 40: 30}.items():
+        rows += [row("a", f"safi + none, steps={steps}", seed, psnr) for seed in (0, 1)]
+    verdict = first_screen(table(tmp_path / "study", rows)).splitlines()[2]
+    assert "Use the baseline" in verdict and "SAFI, steps" not in verdict
+
+
 def test_without_a_baseline_the_first_method_is_not_advised(tmp_path: Path) -> None:
     write(tmp_path / "study", {"full_set": 0.0, "safi": 0.01}, 2)
     text = first_screen(tmp_path / "study")

@@ -41,7 +41,7 @@ def test_photos_from_one_place_are_told(caplog: pytest.LogCaptureFixture) -> Non
         (9, 1.0, ""),
     ],
 )
-def test_test_photos_of_the_training_are_told(
+def test_test_photos_of_the_training_are_named(
     caplog: pytest.LogCaptureFixture, pixels: int, step: float, named: str
 ) -> None:
     def shot(name: str, x: float, grey: int) -> Shot:
@@ -51,5 +51,5 @@ def test_test_photos_of_the_training_are_told(
 
     train = [shot(f"{i}.png", 0.1 * i, i) for i in range(3)]
     assemble("s", "p", train, [shot("a.png", step, pixels)], Tracks(), 1.0, 2.0)
-    told = "1 of 1 test photos have the pixels or the pose of a training photo" in caplog.text
-    assert told == (named != "") and named in caplog.text
+    warned = "1 of 1 test photos have the pixels or the pose of a training photo" in caplog.text
+    assert warned == (named != "") and named in caplog.text

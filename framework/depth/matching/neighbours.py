@@ -33,8 +33,8 @@ def depth_bounds(training: TrainingSet, index: int) -> tuple[float, float]:
     """(nearest, farthest) depth to search in view `index`, in scene units.
 
     A bound that the user gave is kept. The others are the 0.5 % and 99.5 % quantiles of the sparse
-    points inside the view's frustum, or the scene's bounds where these points are fewer than
-    `MIN_POINTS` or beyond the user's bound. These are widened.
+    points inside the view's frustum, widened. They are the scene's bounds, widened, if these points
+    are fewer than `MIN_POINTS` or beyond the user's bound.
     """
     near_given, far_given = training.given
     scene = (

@@ -3,9 +3,9 @@ show it?
 
 Methods that share seeds are tested by Pitman and Morgan (1939). A seed changes both alike, so their
 values are pairs. If the deviations are equal, differences and sums of the pairs are uncorrelated. A
-t test checks this for the values, and an exact test (up to seven pairs) for their ranks, because
-one outlier can cause a correlation of values. p is the larger one, so that fewer than five seeds
-never show a difference.
+t test checks this for the values. Ranks are tested too, because one outlier can cause a correlation
+of values; up to seven of them exactly. p is the larger one. So fewer than five common seeds never
+show a difference.
 
 The interval of their ratio q is q sqrt(k -+ sqrt(k^2 - 1)), k = 1 + 2 (1 - r^2) t^2 / (n - 2), with
 the correlation r within pairs. It contains the ratios that the test of values does not reject, for
