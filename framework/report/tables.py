@@ -92,7 +92,8 @@ class Result:
     """A value of the table of results: mean ± sigma over seeds, with fixed decimals.
 
     Attributes:
-        rank: 1 for the best of its column, 2 for the second; 0 of one seed if others have more.
+        rank: 1 for the best of its column, 2 for the second; else 0, as for one seed if others
+            have more.
         fewer: its number of seeds, if other results of the table have more, else 0.
     """
 
@@ -181,10 +182,13 @@ def _results(
             sigma = float(np.std(values, ddof=1)) if len(values) > 1 else None
             fewer = len(values) if len(values) < most else 0
             column[method] = Result(float(np.mean(values)), sigma, PLACES[metric], fewer=fewer)
-    full = [m for m, values in seeds.items() if len(values) > 1 or 0 < len(values) == most]
-    order = sorted({float(column[m].text) for m in full}, reverse=metric not in LOWER)
-    ranks = {value: k + 1 for k, value in enumerate(order[:2])} if len(full) > 1 else {}
-    ranked = {m: replace(column[m], rank=ranks.get(float(column[m].text), 0)) for m in full}
+    order = sorted({float(r.text) for r in column.values()}, reverse=metric not in LOWER)
+    ranks = {value: k + 1 for k, value in enumerate(order[:2])} if len(column) > 1 else {}
+    ranked = {
+        method: replace(result, rank=ranks.get(float(result.text), 0))
+        for method, result in column.items()
+        if result.sigma is not None or not result.fewer
+    }
     return column | ranked
 
 
