@@ -108,7 +108,7 @@ def unspoiled(options: Mapping[str, Any]) -> dict[str, Any]:
 class PlaneSweepOptions(DepthProvider):
     """Options of `depth=plane_sweep`; penalties are in units of 1 - ZNCC."""
 
-    planes: int = 96  # of inverse depth, evenly spaced
+    planes: int = 0  # of inverse depth, evenly spaced; 0 = 96 to 256, at most a pixel apart
     radius: int = 2  # of the (2 r + 1)^2 window, pixels
     neighbours: int = 4  # views each view is matched with, at most
     penalty_small: float = 0.1  # P1: the match moves by one pixel from pixel to pixel
@@ -118,7 +118,7 @@ class PlaneSweepOptions(DepthProvider):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check("planes", 3 <= self.planes <= 2048, "3 to 2048")
+        self.check("planes", self.planes == 0 or 3 <= self.planes <= 2048, "0 or 3 to 2048")
         self.check("radius", 1 <= self.radius <= 15, "1 to 15 pixels")
         self.check("neighbours", self.neighbours >= 1, "an integer >= 1")
         self.check("penalty_small", 0 <= self.penalty_small <= 1, "a number in [0, 1]")

@@ -10,7 +10,6 @@ from framework.compute.rng import stream
 from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows, select_planes
 from framework.depth.matching.match import COST_ONE
 from framework.depth.matching.sweep import cost_volume, grey, zncc
-from framework.depth.providers import PlaneSweep
 from framework.depth.transfer import pixel_transfer
 from tests.depth.plane import plane_scene
 
@@ -78,8 +77,8 @@ def test_match_costs_equal_the_reference(sources: list[int], radius: int) -> Non
     views = plane_scene().views
     index = 0 if 0 not in sources else 2
     images = [grey(v) for v in views]
-    near, far, options = 4.0, 7.0, PlaneSweep(planes=7, radius=radius)
-    cost = cost_volume(views, images, index, sources, (near, far), options)
+    near, far = 4.0, 7.0
+    cost = cost_volume(views, images, index, sources, (near, far), 7, radius)
     transfers = [pixel_transfer(views[index].camera, views[s].camera) for s in sources]
     expected = matched(
         images[index].astype(np.float64),

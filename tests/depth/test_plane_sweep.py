@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from framework.depth.matching.neighbours import depth_bounds
+from framework.depth.matching.sweep import plane_count, plane_spacing
 from framework.errors import UserError
 from framework.types import Camera, DepthMap, TrainingSet
 from tests.built import build_provider
-from tests.depth.plane import camera, no_points, plane_depth, plane_scene, view
+from tests.depth.plane import FAR, NEAR, camera, no_points, plane_depth, plane_scene, view
 
 
 def sweep(training: TrainingSet, **options: float) -> tuple[DepthMap, ...]:
@@ -43,6 +45,23 @@ def test_depth_scales_with_the_scene(maps: tuple[DepthMap, ...]) -> None:
     for actual, first in zip(sweep(large), maps, strict=True):
         ratio = actual.depth / first.depth / 1000
         assert float(((ratio - 1).abs() < 1e-4).float().mean()) > 0.999
+
+
+@pytest.mark.parametrize(
+    ("spacing", "planes"), [(0.0, 96), (1.0, 96), (1.01, 97), (2.0, 191), (9.0, 256)]
+)
+def test_planes_are_at_most_a_pixel_apart(spacing: float, planes: int) -> None:
+    assert plane_count(spacing) == planes
+
+
+def test_a_wide_baseline_is_searched_at_more_planes() -> None:
+    cameras = [camera((x, 0.0, 0.0), (480, 40), 900.0) for x in (-0.5, 0.5)]
+    views = tuple(view(str(i), of) for i, of in enumerate(cameras))
+    scene = TrainingSet("plane", views, no_points(2), NEAR, FAR)
+    spacing = plane_spacing(views, 0, [1], depth_bounds(scene, 0), 96)
+    assert 96 < plane_count(spacing) < 256
+    actual, expected = sweep(scene)[0], sweep(scene, planes=plane_count(spacing))[0]
+    assert torch.equal(actual.depth, expected.depth)
 
 
 def test_a_view_without_overlap_gets_no_depth(caplog: pytest.LogCaptureFixture) -> None:

@@ -5,6 +5,7 @@ depth bounds (Collins, CVPR 1996; Gallup et al., CVPR 2007). Matching works with
 depth, so that its numbers do not depend on the unit of length.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,6 +24,7 @@ from framework.types import DepthMap, TrainingSet, View
 
 Array = NDArray[np.float64]
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
+FEWEST_PLANES, MOST_PLANES = 96, 256  # of views whose number of planes is not given
 MIN_ZNCC = 0.05  # floor of the score in a confidence, so that a consistent pixel never gets zero
 
 
@@ -66,9 +68,10 @@ def cost_volume(
     index: int,
     sources: Sequence[int],
     bounds: tuple[float, float],
-    options: PlaneSweepOptions,
+    planes: int,
+    radius: int,
 ) -> NDArray[np.int16]:
-    """[H, D, W] matching costs of view `index`.
+    """[H, D, W] matching costs of view `index` at D `planes`.
 
     A cost is the mean over the best half of the sources, rounded down (at least one). This leaves
     out sources in which the surface is hidden.
@@ -82,13 +85,13 @@ def cost_volume(
     offsets = np.concatenate([[0], np.cumsum(sizes.prod(1))[:-1]])
     shapes = np.ascontiguousarray(np.column_stack([offsets, sizes]), np.int64)
     pixels = np.concatenate([images[s].ravel() for s in sources])
-    padded = np.pad(images[index], ((0, 0), (options.radius, options.radius)), mode="edge")
-    mean, inverse = window_statistics(images[index], options.radius)
-    scaled = np.linspace(1.0, far / near, options.planes).astype(np.float32)
-    cost = np.empty((height, options.planes, width), np.int16)
+    padded = np.pad(images[index], ((0, 0), (radius, radius)), mode="edge")
+    mean, inverse = window_statistics(images[index], radius)
+    scaled = np.linspace(1.0, far / near, planes).astype(np.float32)
+    cost = np.empty((height, planes, width), np.int16)
     run_blocks(
         match_costs, padded, mean, inverse, pixels, shapes, A, t, scaled,
-        options.radius, max(1, len(sources) // 2), cost,
+        radius, max(1, len(sources) // 2), cost,
     )  # fmt: skip
     return cost
 
@@ -120,6 +123,17 @@ def plane_spacing(
     return float(np.median(moved)) if len(moved) else 1.0
 
 
+def plane_count(spacing: float) -> int:
+    """Planes at which a match moves by at most a pixel, given how far it moves at `FEWEST_PLANES`.
+
+    Between planes further apart, the windows of a textured surface no longer match at either. Fewer
+    than 96 planes lose surfaces even where they lie closer; more than 256 cost memory and find
+    little more.
+    """
+    needed = math.ceil((FEWEST_PLANES - 1) * spacing) + 1
+    return min(max(needed, FEWEST_PLANES), MOST_PLANES)
+
+
 def aggregate(
     cost: NDArray[np.int16], image: NDArray[np.float32], spacing: float, options: PlaneSweepOptions
 ) -> NDArray[np.int16]:
@@ -148,12 +162,16 @@ def sweep_view(
     position, zncc = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     if not sources:
         return position, zncc
-    cost = cost_volume(training.views, images, index, sources, bounds, options)
-    spacing = plane_spacing(training.views, index, sources, bounds, options.planes)
+    planes = options.planes or FEWEST_PLANES
+    spacing = plane_spacing(training.views, index, sources, bounds, planes)
+    if not options.planes:
+        planes = plane_count(spacing)
+        spacing *= (FEWEST_PLANES - 1) / (planes - 1)
+    cost = cost_volume(training.views, images, index, sources, bounds, planes, options.radius)
     total = aggregate(cost, images[index], spacing, options)
     run_blocks(select_planes, total, cost, position, zncc)
     near, far = bounds
-    step = (far / near - 1.0) / (options.planes - 1)
+    step = (far / near - 1.0) / (planes - 1)
     return (far / (1.0 + position.astype(np.float64) * step)).astype(np.float32), zncc
 
 
