@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -70,19 +70,15 @@ def gain(study: str, method: str, over: str = "", on: str = "", corrected: bool 
 
     Args:
         over: the method that it is compared with; by default the baseline.
-        on: one of the study's scenes, whose interval is never corrected; `untuned`: the scenes that
+        on: one of the study's scenes, as in a study of this scene alone; `untuned`: the scenes that
             chose no default; `others`: other scenes like those of the study.
-        corrected: for all comparisons of the report.
+        corrected: for all comparisons of the study, or of its scene.
     """
-    outcomes = _findings(study, over).outcomes
-    single = on not in ("", UNTUNED, OTHERS)
-    every = outcomes.tested if on == UNTUNED else outcomes.comparisons
-    compared = outcomes.by_scene[on] if single else every
-    comparison = _of(compared, method)
+    outcomes = _findings(study, over, "" if on in (UNTUNED, OTHERS) else on).outcomes
+    comparison = _of(outcomes.tested if on == UNTUNED else outcomes.comparisons, method)
     estimate = comparison.like if on == OTHERS else comparison.these
     if estimate is None:
         raise ValueError("expected several scenes")
-    corrected = corrected and not single
     interval = estimate.interval(comparison.tests if corrected else 1)
     return Gain(estimate.mean, interval, corrected)
 
@@ -111,9 +107,9 @@ def possible(study: str, method: str) -> str:
     return f"{format_significant(effect)} dB"
 
 
-def sigma_ratio(study: str, method: str, over: str = "") -> str:
+def sigma_ratio(study: str, method: str, over: str = "", on: str = "") -> str:
     """The ratio of the standard deviations over seeds, as `1.01 (0.77 to 1.31)`."""
-    sigmas = _findings(study, over).outcomes.sigmas
+    sigmas = _findings(study, over, on).outcomes.sigmas
     comparison = _of(sigmas, method)
     if comparison.ratio is None or comparison.interval is None:
         raise ValueError("expected different seeds to differ")
@@ -131,10 +127,10 @@ def lpips(study: str, method: str, on: str = "") -> str:
     return f"{mean(study, method, 'lpips_01', on):.3f}".removeprefix("0")
 
 
-def acted(study: str, method: str) -> str:
+def acted(study: str, method: str, on: str = "") -> str:
     """The share of its opportunities in which a method acted that the report calls hardly tested,
     as `39 %`."""
-    idle = _of({idle.method: idle for idle in _findings(study).idle}, method)
+    idle = _of({idle.method: idle for idle in _findings(study, on=on).idle}, method)
     return f"{100 * idle.share:.0f} %"
 
 
@@ -167,8 +163,13 @@ def _runs(study: str) -> pd.DataFrame:
 
 
 @functools.cache
-def _findings(study: str, baseline: str = "") -> Findings:
-    return find(collect(COMMITTED / study, rival=baseline))
+def _findings(study: str, baseline: str = "", on: str = "") -> Findings:
+    """What the runs of a study show, or those of one of its scenes."""
+    every = collect(COMMITTED / study, rival=baseline)
+    runs = tuple(run for run in every.runs if on in ("", run.scene))
+    if not runs:
+        raise ValueError(f"expected a scene of {study}, got {on}")
+    return find(replace(every, runs=runs))
 
 
 def with_values(text: str) -> str:

@@ -281,9 +281,12 @@ def values(spec: Mapping[str, Any]) -> list[str]:
 
 
 def gains(spec: Mapping[str, Any]) -> list[str]:
-    """Gain of each method in PSNR over the baseline, a column for each study."""
+    """Gain of each method in PSNR over the baseline, a column for each study or scene of one."""
     columns = spec["gains"]
-    means = {label: quoted.means(column["study"])["psnr"] for label, column in columns.items()}
+    means = {
+        label: quoted.means(column["study"], column.get("scene", ""))["psnr"]
+        for label, column in columns.items()
+    }
     rows = [_row(["method", *columns]), _row(["---", *["---:"] * len(columns)])]
     for label in spec["rows"]:
         cells = []

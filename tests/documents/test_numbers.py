@@ -91,10 +91,13 @@ def test_a_changed_number_of_a_sentence_is_replaced() -> None:
 
 
 def test_a_value_says_what_its_interval_is() -> None:
-    """Corrected by default; never for a scene alone, whose report has no such interval."""
+    """Corrected by default: of a scene alone, for the comparisons in this scene."""
     views = '"breakdown_views", "UAR", on="embedded (n_views=9)"'
-    assert value(f"loss({views})") == "0.52 dB (0.14 to 0.91, uncorrected)"
+    assert value(f"loss({views})") == "0.52 dB (-0.03 to 1.07)"
+    assert value(f"loss({views}, corrected=false)") == "0.52 dB (0.14 to 0.91, uncorrected)"
     assert value(f"gain({views}).db") == "-0.52 dB"
+    with pytest.raises(ValueError, match="expected a scene of paper_fern, got llff_horns"):
+        value('gain("paper_fern", "SAFI", on="llff_horns")')
     alone = value('gain("paper_fern", "SAFI", corrected=false)')
     assert alone == "0.45 dB (0.33 to 0.56, uncorrected)"
     assert value('gain("best_methods5", "SAFI + UAR", on="others").span') == "-0.17 to 0.13"
