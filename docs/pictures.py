@@ -134,12 +134,16 @@ def draw_paper(out: Path) -> None:
     """Gain of each method under the paper's settings, a panel for each scene."""
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    for panel, study in zip(panels, ("paper_fern", "paper_scan65"), strict=True):
-        table = scores(study)
+    shown = {"fern": ("paper_fern", "llff_fern"), "scan 65": ("paper", "dtu_scan65")}
+    for panel, (title, (study, scene)) in zip(panels, shown.items(), strict=True):
+        table = {
+            pair: {run: value for run, value in values.items() if run[0].split()[0] == scene}
+            for pair, values in scores(study).items()
+        }
         for place, (pair, name) in enumerate(METHODS.items()):
             if pair in table:
                 bar(panel, place, paired(table, pair).values(), len(METHODS), name)
-        panel.set_title({"paper_fern": "fern", "paper_scan65": "scan 65"}[study])
+        panel.set_title(title)
         panel.axvline(0, color="black", linewidth=1)
         panel.set_xlabel("difference to the baseline, PSNR (dB)")
         panel.grid(axis="x", alpha=0.3)
