@@ -108,7 +108,7 @@ def unspoiled(options: Mapping[str, Any]) -> dict[str, Any]:
 class PlaneSweepOptions(DepthProvider):
     """Options of `depth=plane_sweep`; penalties are in units of 1 - ZNCC."""
 
-    planes: int = 0  # of inverse depth, evenly spaced; 0 = 96 to 256, at most a pixel apart
+    planes: int = 0  # of inverse depth, evenly spaced; 0 = 96 to 256, a pixel apart
     radius: int = 2  # of the (2 r + 1)^2 window, pixels
     neighbours: int = 4  # views each view is matched with, at most
     penalty_small: float = 0.1  # P1: the match moves by one pixel from pixel to pixel

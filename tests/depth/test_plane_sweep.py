@@ -48,10 +48,13 @@ def test_depth_scales_with_the_scene(maps: tuple[DepthMap, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spacing", "planes"), [(0.0, 96), (1.0, 96), (1.01, 97), (2.0, 191), (9.0, 256)]
+    ("spacing", "megapixels", "planes"),
+    [(0.0, 1, 96), (1.0, 1, 96), (1.01, 1, 97), (2.0, 1, 191), (9.0, 1, 256), (9.0, 12, 96)],
 )
-def test_planes_are_at_most_a_pixel_apart(spacing: float, planes: int) -> None:
-    assert plane_count(spacing) == planes
+def test_planes_are_a_pixel_apart_within_limits(
+    spacing: float, megapixels: int, planes: int
+) -> None:
+    assert plane_count(spacing, 10**6 * megapixels) == planes
 
 
 def test_a_wide_baseline_is_searched_at_more_planes() -> None:
@@ -59,8 +62,9 @@ def test_a_wide_baseline_is_searched_at_more_planes() -> None:
     views = tuple(view(str(i), of) for i, of in enumerate(cameras))
     scene = TrainingSet("plane", views, no_points(2), NEAR, FAR)
     spacing = plane_spacing(views, 0, [1], depth_bounds(scene, 0), 96)
-    assert 96 < plane_count(spacing) < 256
-    actual, expected = sweep(scene)[0], sweep(scene, planes=plane_count(spacing))[0]
+    planes = plane_count(spacing, 480 * 40)
+    assert 96 < planes < 256
+    actual, expected = sweep(scene)[0], sweep(scene, planes=planes)[0]
     assert torch.equal(actual.depth, expected.depth)
 
 

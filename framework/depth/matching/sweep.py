@@ -25,6 +25,7 @@ from framework.types import DepthMap, TrainingSet, View
 Array = NDArray[np.float64]
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 FEWEST_PLANES, MOST_PLANES = 96, 256  # of views whose number of planes is not given
+MOST_CELLS = 2**29  # pixels x planes, two volumes of 1 GiB; over 5.6 megapixels take more
 MIN_ZNCC = 0.05  # floor of the score in a confidence, so that a consistent pixel never gets zero
 
 
@@ -123,15 +124,18 @@ def plane_spacing(
     return float(np.median(moved)) if len(moved) else 1.0
 
 
-def plane_count(spacing: float) -> int:
-    """Planes at which a match moves by at most a pixel, given how far it moves at `FEWEST_PLANES`.
+def plane_count(spacing: float, pixels: int) -> int:
+    """Planes at which a match moves by a pixel, within limits.
 
     Between planes further apart, the windows of a textured surface no longer match at either. Fewer
-    than 96 planes lose surfaces even where they lie closer; more than 256 cost memory and find
-    little more.
+    than 96 planes lose surfaces even where they lie closer; more than 256 find little more.
+
+    Args:
+        spacing: how far a match moves between `FEWEST_PLANES` planes, in pixels.
+        pixels: of the view.
     """
     needed = math.ceil((FEWEST_PLANES - 1) * spacing) + 1
-    return min(max(needed, FEWEST_PLANES), MOST_PLANES)
+    return max(min(needed, MOST_PLANES, MOST_CELLS // pixels), FEWEST_PLANES)
 
 
 def aggregate(
@@ -165,7 +169,7 @@ def sweep_view(
     planes = options.planes or FEWEST_PLANES
     spacing = plane_spacing(training.views, index, sources, bounds, planes)
     if not options.planes:
-        planes = plane_count(spacing)
+        planes = plane_count(spacing, images[index].size)
         spacing *= (FEWEST_PLANES - 1) / (planes - 1)
     cost = cost_volume(training.views, images, index, sources, bounds, planes, options.radius)
     total = aggregate(cost, images[index], spacing, options)
